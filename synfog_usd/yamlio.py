@@ -2,11 +2,13 @@
 
 Safe by construction: only plain scalars, lists and mappings are built; tags that
 name Python objects, anchors that multiply into a bomb and duplicate keys are
-refused.
+refused.  On, off, yes and no are words and 1e-5 is a number, as YAML 1.2 has it:
+`switch` takes those words where true or false is wanted.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,12 @@ from synfog_usd.errors import GraphError, SynfogError
 MAX_BYTES = 1 << 20
 MAX_NODES = 20_000
 MAX_DEPTH = 50
+
+WITH_EXPONENT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+")
+"""Numbers that YAML 1.1 takes for text, where they have no dot or no sign in the exponent."""
+
+SWITCHES = {"true": True, "on": True, "yes": True, "false": False, "off": False, "no": False}
+"""What can be written for true and false, in any case."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,11 @@ class Located:
         if isinstance(self.value, list):
             return [item.plain() for item in self.value]
         return self.value
+
+
+def switch(value: Any) -> Any:
+    """True or false for a word that means it, in a file or behind --set; any other value as it is."""
+    return SWITCHES.get(value.lower(), value) if isinstance(value, str) else value
 
 
 def load_file(path: Path, *, error: type[SynfogError] = GraphError) -> Located:
@@ -169,9 +182,17 @@ class _Builder:
             value = [self.build(item, depth + 1) for item in node.value]
         else:
             try:
-                value = self.scalars.construct_object(node)
+                value = self.scalar(node)  # type: ignore[arg-type]
             except (yaml.YAMLError, ValueError) as problem:
                 raise self.error(
                     f"{place}: {node.value!r} cannot be read as {node.tag.rsplit(':', 1)[-1]}"
                 ) from problem
         return Located(value, place, key_place)
+
+    def scalar(self, node: yaml.ScalarNode) -> Any:
+        kind = node.tag.rsplit(":", 1)[-1]
+        if kind == "bool" and node.value.lower() not in ("true", "false"):
+            return node.value
+        if kind == "str" and not node.style and WITH_EXPONENT.fullmatch(node.value):
+            return float(node.value)
+        return self.scalars.construct_object(node)

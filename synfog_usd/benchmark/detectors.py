@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 from synfog_usd.benchmark.methods import OF_ALL, Method, declared, is_file, listed, mapping, number, refuse_twins
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.yamlio import Located
+from synfog_usd.yamlio import Located, switch
 
 LAYOUTS = ("yolov5", "yolov8", "detr", "rtdetr", "boxes")
 OUTPUTS = ("boxes", "scores", "labels")
@@ -125,7 +125,7 @@ def _detector(entry: Located, folder: Path) -> Detector:
     flags = dict.fromkeys(("letterbox", "centred", "relative"), (True, False))
     for key, allowed in {"layout": LAYOUTS, "order": ("rgb", "bgr"), **flags}.items():
         if key in fields:
-            value = fields[key].plain()
+            value = switch(fields[key].plain()) if key in flags else fields[key].plain()
             if not any(value is one or (isinstance(one, str) and value == one) for one in allowed):
                 words = ", ".join(str(word).lower() for word in allowed)
                 raise ParameterError(f"{fields[key].place}: {key} is {value!r}; it is one of {words}")

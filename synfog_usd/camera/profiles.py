@@ -11,7 +11,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +21,7 @@ from synfog_usd.camera import cfa
 from synfog_usd.camera.paraxial import Drawing
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.fisheye import Fisheye
+from synfog_usd.graph.faults import Faults
 from synfog_usd.yamlio import Located, load_file
 
 CAMERAS_MEASURED = tuple(tables.CAMERAS)
@@ -37,7 +38,12 @@ NOT_TOLD = "not in the file"
 DRAWN = 0.02
 """How far the focal length of a lens's drawing may be from the one that is told."""
 
+SENSOR_WORDS = ("serial", "cfa", "qe")
+LENS_WORDS = ("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing")
+"""Keys of a profile that are no single number."""
+
 T = TypeVar("T", "SensorProfile", "LensProfile")
+V = TypeVar("V")
 
 
 @dataclass(frozen=True)
@@ -128,21 +134,24 @@ class SensorProfile:
         gain_dn_e: DN per electron at `iso_base` [DN/e-].
         read_noise_e: noise before the gain [e-].
         adc_noise_dn: noise after the gain [DN].
-        dark_current_e_s: at 25 degrees C [e-/s].
+        dark_current_e_s: dark current at 25 degrees C [e-/s].
         prnu_percent: standard deviation of the response between pixels [%].
         dsnu_e: standard deviation of the offset between pixels [e-].
-        row_noise_dn, column_noise_dn: standard deviation of the offset between rows, and
-            between columns, the same in every frame [DN]; 0 where the file leaves them out.
-        bits: of the converter.
-        black_level_dn, white_level_dn: DN of no light, and of saturation.
-        iso_base, iso_max: ISO speed at a gain of 1, and the highest.
+        row_noise_dn: standard deviation of the offset between rows, the same in every frame [DN].
+        column_noise_dn: the same between columns [DN].
+        bits: bits of the converter.
+        black_level_dn: DN of no light.
+        white_level_dn: DN of saturation.
+        iso_base: ISO speed at a gain of 1.
+        iso_max: the highest ISO speed.
         analog_gain_max: the most that the sensor's own amplifiers do; ISO speeds above
             `iso_base` times this are made of numbers.
         optical_black_rows: rows that no light reaches, by which black is held.
-        width_px, height_px: pixels of a picture, for cameras of other programs; no op reads them, and 0 stands where
-            the file leaves them out.
-        readout_s: from the reading of the top row to that of the bottom row [s]; 0 where the file leaves it out.
-        shortest_exposure_s, longest_exposure_s: what automatic exposure may use [s].
+        width_px: pixels of a row of a picture, for cameras of other programs; no op reads it.
+        height_px: rows of a picture, as `width_px`.
+        readout_s: from the reading of the top row to that of the bottom row [s].
+        shortest_exposure_s: the shortest that automatic exposure may use [s].
+        longest_exposure_s: the longest that automatic exposure may use [s].
         qe: quantum efficiency of each filter.
         sources: name of a value -> where it is from.
         content_hash: SHA-256 of the values.
@@ -193,7 +202,7 @@ class LensProfile:
         name: short name, as graphs use it.
         title: what it is, for people.
         f_number: focal length / entrance pupil [1].
-        focal_length_mm: [mm]; written into the RAW file, the field of view is the scene's.
+        focal_length_mm: focal length [mm]; written into the RAW file, the field of view is the scene's.
         transmission: part of the light that the glass lets through [1].
         glare_fraction: part of the light that surfaces, dust and edges scatter over the picture [1].
         blades: straight edges of the aperture; 0 for a round one.
@@ -246,6 +255,11 @@ class LensProfile:
     content_hash: str = ""
 
 
+def limits_of(record: type) -> dict[str, Limits]:
+    """What the numbers of a profile may be, by key, in the order of the record."""
+    return {item.name: item.metadata["limits"] for item in dataclasses.fields(record) if "limits" in item.metadata}
+
+
 def guessed(profile: SensorProfile | LensProfile) -> str:
     """What to tell of a profile most of whose values are estimates, as the first word of their source says; else ''."""
     told = [(name, source) for name, source in profile.sources if source != NOT_TOLD]
@@ -259,86 +273,67 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
     """A sensor by its shipped name, or by a path that ends in .yaml and starts from `folder`.
 
     Raises:
-        ParameterError: no such profile, or a fault in it, with its place.
+        ParameterError: no such profile, or every fault in it, each with its place.
     """
-    path = _find(reference, folder, "sensors")
-    reader = _Reader(path, "sensor/1", ("serial", "cfa", "qe"), SensorProfile)
-    serial, pattern = reader.text("serial"), reader.pattern()
-    qe, qe_source = reader.quantum_efficiency(pattern)
-    profile = reader.profile(SensorProfile, serial=serial, cfa=pattern, qe=qe)
+    reader = _Reader(_find(reference, folder, "sensors"), "sensor", SENSOR_WORDS, SensorProfile)
+    serial, pattern = reader.tried("serial", reader.text), reader.tried("cfa", reader.pattern)
+    qe = reader.tried("qe", lambda key: reader.quantum_efficiency(pattern) if pattern else None)
+    values = reader.values() | {"serial": serial, "cfa": pattern, "qe": qe}
     for low, high in (
         ("black_level_dn", "white_level_dn"),
         ("iso_base", "iso_max"),
         ("shortest_exposure_s", "longest_exposure_s"),
     ):
-        if getattr(profile, low) >= getattr(profile, high):
-            raise ParameterError(
-                f"{reader.place(low)}: {low} {getattr(profile, low):g} is not below {high} {getattr(profile, high):g}"
-            )
-    if profile.white_level_dn > 2**profile.bits - 1:
-        raise ParameterError(
-            f"{reader.place('white_level_dn')}: white_level_dn {profile.white_level_dn} is above "
-            f"{2**profile.bits - 1}, the most of {profile.bits} bits"
-        )
-    return dataclasses.replace(profile, sources=(*profile.sources, ("qe", qe_source)))
+        if reader.has(low, high) and values[low] >= values[high]:
+            reader.fault(low, f"{low} {values[low]:g} is not below {high} {values[high]:g}")
+    if reader.has("white_level_dn", "bits") and values["white_level_dn"] > 2 ** values["bits"] - 1:
+        most = 2 ** values["bits"] - 1
+        text = f"white_level_dn {values['white_level_dn']} is above {most}, the most of {values['bits']} bits"
+        reader.fault("white_level_dn", text)
+    return reader.profile(SensorProfile, values)
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
     """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`,
     `wavefront` and `drawing` may be left out.
     """
-    reader = _Reader(
-        _find(reference, folder, "lenses"),
-        "lens/1",
-        ("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing"),
-        LensProfile,
-    )
-    more: dict[str, Any] = {}
-    sources: list[tuple[str, str]] = []
+    reader = _Reader(_find(reference, folder, "lenses"), "lens", LENS_WORDS, LensProfile)
+    values = reader.values()
     for key, limits, counts in (
         ("distortion", Limits(-1000.0, 1000.0), (4, 5, 8)),
         ("fisheye", Limits(-1e6, 1e6), tuple(range(1, 10))),
     ):
-        if key in reader.fields:
-            (more[key],), source = reader.numbers(key, {"value": limits}, counts)
-            sources.append((key, source))
-    if "drawing" in reader.fields:
-        faces = {"radius_mm": Limits(-1e5, 1e5), "thickness_mm": Limits(0.0, 1e4), "index": Limits(1.0, 5.0)}
-        columns, source = reader.numbers("drawing", faces | {"clear_mm": Limits(0.0, 1e4)})
-        more |= dict(zip((*faces, "clear_mm"), columns, strict=True))
-        sources.append(("drawing", source))
+        values |= reader.lists(key, {"value": limits}, {"value": key}, counts)
+    faces = {"radius_mm": Limits(-1e5, 1e5), "thickness_mm": Limits(0.0, 1e4), "index": Limits(1.0, 5.0)}
+    values |= reader.lists("drawing", faces | {"clear_mm": Limits(0.0, 1e4)})
     widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
     shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
     paths = dict.fromkeys(("z4_nm", "z6_nm", "z8_nm", "z10_nm", "z11_nm"), Limits(-1e5, 1e5))
-    for key, others, angle in (
-        ("relative_illumination", {"value": Limits(0.0, 2.0)}, "field_deg"),
-        ("aberrations", widths | shifts, "aberration_field_deg"),
-        ("wavefront", paths, "wavefront_field_deg"),
+    for key, others, names in (
+        ("relative_illumination", {"value": Limits(0.0, 2.0)}, {"value": "relative_illumination"}),
+        ("aberrations", widths | shifts, {"field_deg": "aberration_field_deg"}),
+        ("wavefront", paths, {"field_deg": "wavefront_field_deg"}),
     ):
-        if key in reader.fields:
-            (angles, *columns), source = reader.numbers(key, {"field_deg": Limits(0.0, 180.0), **others})
-            more[angle] = angles
-            more |= {key if name == "value" else name: column for name, column in zip(others, columns, strict=True)}
-            if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
-                raise ParameterError(f"{reader.place(key)}: field_deg is {list(angles)}; it rises from 0")
-            sources.append((key, source))
-    profile = reader.profile(LensProfile, **more)
-    if profile.radius_mm:
+        found = reader.lists(key, {"field_deg": Limits(0.0, 180.0), **others}, names)
+        values |= found
+        angles = found.get(names.get("field_deg", "field_deg"), (0.0,))
+        if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
+            reader.fault(key, f"field_deg is {list(angles)}; it rises from 0")
+    if "radius_mm" in values:
         try:
-            drawn_mm = Drawing(*(getattr(profile, name) for name in (*faces, "clear_mm"))).focal_length_mm
+            drawn_mm = Drawing(*(values[name] for name in (*faces, "clear_mm"))).focal_length_mm
+            told_mm = values["focal_length_mm"] if reader.has("focal_length_mm") else drawn_mm
+            if abs(drawn_mm / told_mm - 1.0) > DRAWN:
+                text = f"the drawing has a focal length of {drawn_mm:.4g} mm, and focal_length_mm is {told_mm:g}"
+                reader.fault("drawing", text)
         except ValueError as problem:
-            raise ParameterError(f"{reader.place('drawing')}: {problem}") from problem
-        if abs(drawn_mm / profile.focal_length_mm - 1.0) > DRAWN:
-            raise ParameterError(
-                f"{reader.place('drawing')}: the drawing has a focal length of {drawn_mm:.4g} mm, and "
-                f"focal_length_mm is {profile.focal_length_mm:g}"
-            )
-    if profile.fisheye:
+            reader.fault("drawing", str(problem))
+    if "fisheye" in values and values["fisheye_fov_x_deg"] is not None:
         try:
-            Fisheye(profile.fisheye, profile.fisheye_fov_x_deg)
+            Fisheye(values["fisheye"], values["fisheye_fov_x_deg"])
         except ValueError as problem:
-            raise ParameterError(f"{reader.place('fisheye')}: fisheye: {problem}") from problem
-    return dataclasses.replace(profile, sources=(*profile.sources, *sources))
+            reader.fault("fisheye", f"fisheye: {problem}")
+    return reader.profile(LensProfile, values)
 
 
 def shipped(kind: str) -> tuple[str, ...]:
@@ -358,9 +353,15 @@ def _find(reference: str, folder: Path, kind: str) -> Path:
 
 
 class _Reader:
-    def __init__(self, path: Path, schema: str, extra: tuple[str, ...], record: type) -> None:
-        root = load_file(path, error=ParameterError)
-        self.path = path
+    """Reads a profile key by key; what is missing or wrong is kept, and told at once by `profile`.
+
+    Attributes:
+        sources: value -> where it is from, of those that were read.
+    """
+
+    def __init__(self, path: Path, kind: str, words: tuple[str, ...], record: type) -> None:
+        root, schema = load_file(path, error=ParameterError), f"{kind}/1"
+        self.path, self.kind = path, kind
         if not isinstance(root.value, dict):
             raise ParameterError(f"{root.place}: a profile is a mapping that begins with 'synfog: {schema}'")
         self.root, self.fields = root, root.value
@@ -370,44 +371,88 @@ class _Reader:
                 f"{(label or root).place}: synfog is {label.plain() if label else 'missing'}; this program reads "
                 f"{schema!r}"
             )
-        self.limits: dict[str, Limits] = {
-            item.name: item.metadata["limits"] for item in dataclasses.fields(record) if "limits" in item.metadata
-        }
-        allowed = ["synfog", "name", "title", *extra, *self.limits, "sources"]
+        self.faults, self.missing = Faults(root.place.file, ParameterError), list[str]()
+        self.limits = limits_of(record)
+        allowed = ["synfog", "name", "title", *words, *self.limits, "sources"]
         for key, item in self.fields.items():
             if key not in allowed:
-                raise ParameterError(
-                    f"{item.key_place}: a profile has no {key!r}; it takes "
-                    f"{', '.join(allowed)}.{did_you_mean(key, allowed)}"
-                )
-        self.source_texts = self.read_sources()
+                text = f"a profile has no {key!r}; it takes {', '.join(allowed)}.{did_you_mean(key, allowed)}"
+                self.faults.add(item.key_place or item.place, text)
+        self.sources: dict[str, str] = {}
+        self.source_texts = self.tried("sources", self.read_sources)
 
-    def place(self, key: str) -> str:
-        return str(self.item(key).place)
-
-    def item(self, key: str) -> Located:
+    def tried(self, key: str, read: Callable[[str], V]) -> V | None:
+        """What `read` makes of a key; None where it is missing or wrong, which is kept."""
         if key not in self.fields:
-            raise ParameterError(f"{self.root.place}: the profile has no {key!r}")
-        return self.fields[key]
+            self.missing.append(key)
+            return None
+        return self.kept(self.fields[key], lambda: read(key))
+
+    def kept(self, item: Located, read: Callable[[], V]) -> V | None:
+        """What `read` makes of an item; None where it is wrong, which is kept."""
+        try:
+            return read()
+        except ParameterError as error:
+            self.faults.take(item.place, error)
+            return None
+
+    def has(self, *keys: str) -> bool:
+        """Whether keys were read, or may be left out, and are right."""
+        return all(key in self.sources for key in keys)
+
+    def fault(self, key: str, text: str) -> None:
+        """Keep what is wrong with a key."""
+        self.faults.add(self.fields[key].place, text)
+
+    def values(self) -> dict[str, Any]:
+        """Name, title and every number; None for one that is missing or wrong."""
+        found: dict[str, Any] = {key: self.tried(key, self.text) for key in ("name", "title")}
+        for key, limits in self.limits.items():
+            if key not in self.fields and limits.default is not None:
+                found[key], self.sources[key] = limits.default, NOT_TOLD
+            else:
+                found[key] = self.tried(key, self.number)
+        return found
+
+    def profile(self, record: type[T], values: Mapping[str, Any]) -> T:
+        """The profile of what was read.
+
+        Raises:
+            ParameterError: all that is missing or wrong.
+        """
+        if self.missing:
+            keys = ", ".join(map(repr, self.missing))
+            text = f"the profile has no {keys}; 'synfog-usd graph profile {self.kind}' prints one that has all"
+            self.faults.add(self.root.place, text)
+        self.faults.check()
+        hashed = {
+            key: dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value  # type: ignore[arg-type]
+            for key, value in values.items()
+            if key not in _NOT_IN_PICTURES and key != "title"
+        }
+        digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
+        return record(**values, sources=tuple(self.sources.items()), content_hash=digest)
 
     def text(self, key: str) -> str:
-        item = self.item(key)
+        item = self.fields[key]
         if not isinstance(item.value, str) or not item.value.strip():
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes a text")
         return item.value
 
-    def read_sources(self) -> dict[str, str]:
-        item = self.item("sources")
+    def read_sources(self, key: str) -> dict[str, str]:
+        item = self.fields[key]
         if not isinstance(item.value, dict) or not all(
             isinstance(entry.value, str) and entry.value.strip() for entry in item.value.values()
         ):
             raise ParameterError(f"{item.place}: sources is a mapping of short names to texts")
-        return {key: entry.value for key, entry in item.value.items()}
+        return {name: entry.value for name, entry in item.value.items()}
 
     def source(self, where: str, fields: Mapping[str, Located], parent: Located) -> str:
         item = fields.get("source")
         if item is None:
             raise ParameterError(f"{parent.place}: {where} has no source; write {{value: ..., source: ...}}")
+        if self.source_texts is None:  # which is told already
+            return ""
         if item.value not in self.source_texts:
             names = ", ".join(self.source_texts)
             raise ParameterError(
@@ -416,22 +461,30 @@ class _Reader:
             )
         return self.source_texts[item.value]
 
-    def number(self, key: str) -> tuple[float, str]:
-        limits = self.limits[key]
-        if key not in self.fields and limits.default is not None:
-            return limits.default, NOT_TOLD
-        item = self.item(key)
+    def number(self, key: str) -> float:
+        item = self.fields[key]
         if not isinstance(item.value, dict) or set(item.value) - {"value", "source"} or "value" not in item.value:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {{value: ..., source: ...}}")
-        return _in_limits(key, item.value["value"], limits), self.source(key, item.value, item)
+        value = _in_limits(key, item.value["value"], self.limits[key])
+        self.sources[key] = self.source(key, item.value, item)
+        return value
 
-    def numbers(
-        self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()
-    ) -> tuple[list[tuple[float, ...]], str]:
-        """Lists of equal length, by the names of `columns`, and their source; `counts` says how many, else two and
-        more.
+    def lists(
+        self,
+        key: str,
+        columns: Mapping[str, Limits],
+        names: Mapping[str, str] | None = None,
+        counts: tuple[int, ...] = (),
+    ) -> dict[str, tuple[float, ...]]:
+        """Columns of a key that may be left out, under their `names` in the profile where these differ; {} where it is
+        missing or wrong.
         """
-        item = self.item(key)
+        found = self.tried(key, lambda key: self.numbers(key, columns, counts)) if key in self.fields else None
+        return {(names or {}).get(name, name): numbers for name, numbers in zip(columns, found or (), strict=False)}
+
+    def numbers(self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()) -> list[tuple[float, ...]]:
+        """Lists of equal length, by the names of `columns`; `counts` says how many, else two and more."""
+        item = self.fields[key]
         form = f"{{{', '.join(f'{name}: [...]' for name in columns)}, source: ...}}"
         fields = item.value if isinstance(item.value, dict) else {}
         if set(fields) - {"source"} != set(columns) or not all(
@@ -448,27 +501,11 @@ class _Reader:
             tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value)
             for name, limits in columns.items()
         ]
-        return found, self.source(key, fields, item)
+        self.sources[key] = self.source(key, fields, item)
+        return found
 
-    def profile(self, record: type[T], **more: Any) -> T:
-        values, sources = {}, []
-        for key in self.limits:
-            values[key], source = self.number(key)
-            sources.append((key, source))
-        name, title = self.text("name"), self.text("title")
-        hashed = {
-            "name": name,
-            **{key: value for key, value in values.items() if key not in _NOT_IN_PICTURES},
-            **{
-                key: dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
-                for key, value in more.items()
-            },
-        }  # type: ignore[arg-type]
-        digest = hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
-        return record(name=name, title=title, **values, **more, sources=tuple(sources), content_hash=digest)  # type: ignore[arg-type]
-
-    def pattern(self) -> str:
-        item = self.item("cfa")
+    def pattern(self, key: str) -> str:
+        item = self.fields[key]
         if item.value not in cfa.PATTERNS:
             raise ParameterError(
                 f"{item.place}: cfa is {item.plain()!r}; it can be "
@@ -476,8 +513,8 @@ class _Reader:
             )
         return str(item.value)
 
-    def quantum_efficiency(self, pattern: str) -> tuple[QuantumEfficiency, str]:
-        item, letters = self.item("qe"), cfa.filters(pattern)
+    def quantum_efficiency(self, pattern: str) -> QuantumEfficiency:
+        item, letters = self.fields["qe"], cfa.filters(pattern)
         fields = item.value if isinstance(item.value, dict) else {}
         kinds = [kind for kind in ("camera", "observer", "csv", "product") if kind in fields]
         kind = kinds[0] if len(kinds) == 1 else ""
@@ -487,12 +524,12 @@ class _Reader:
                 f"source: ...}}, "
                 "{csv: file, source: ...} or {product: ..., source: ...}"
             )
-        source = self.source("qe", fields, item)
+        self.sources["qe"] = self.source("qe", fields, item)
         if kind == "csv":
-            return QuantumEfficiency(table=self.table(fields["csv"], letters)), source
+            return QuantumEfficiency(table=self.table(fields["csv"], letters))
         if kind == "product":
             common, filters = self.product(fields["product"], letters)
-            return QuantumEfficiency(common=common, filters=filters), source
+            return QuantumEfficiency(common=common, filters=filters)
         chosen, known = fields[kind], CAMERAS_MEASURED if kind == "camera" else OBSERVERS
         if chosen.value not in known:
             hint = did_you_mean(str(chosen.value), known)
@@ -505,7 +542,7 @@ class _Reader:
                 f"csv or a product"
             )
         peak = _in_limits("peak", fields["peak"], Limits(0.01, 1.0))
-        return QuantumEfficiency(**{kind: chosen.value}, peak=peak), source
+        return QuantumEfficiency(**{kind: chosen.value}, peak=peak)
 
     def product(self, item: Located, letters: tuple[str, ...]) -> tuple[tuple[Curve, ...], tuple[Curve, ...]]:
         """Factors of all filters, and those of each; a clear filter may be left out."""
@@ -515,14 +552,18 @@ class _Reader:
                 f"{item.place}: product takes sensor: a curve, and if need be ir_filter: a curve and filters: "
                 f"{{letter: curve, ...}}"
             )
-        common = tuple(self.curve(key, fields[key]) for key in ("sensor", "ir_filter") if key in fields)
+        common = self.curves({key: fields[key] for key in ("sensor", "ir_filter") if key in fields})
         named = fields["filters"].value if "filters" in fields else {}
         if not isinstance(named, dict) or not set(letters) - {"C"} <= set(named) <= set(letters):
             place = fields["filters"].place if "filters" in fields else item.place
             raise ParameterError(f"{place}: filters takes a curve for each of {', '.join(letters)}; C may be left out")
-        return common, tuple(
-            self.curve(letter, named[letter]) if letter in named else Curve("flat", (1.0,)) for letter in letters
-        )
+        clear = {letter: Located({"flat": Located(1.0, item.place)}, item.place) for letter in letters}
+        return common, self.curves({letter: named.get(letter, clear[letter]) for letter in letters})
+
+    def curves(self, items: Mapping[str, Located]) -> tuple[Curve, ...]:
+        """Those that are right; what is wrong with each other one is kept."""
+        found = [self.kept(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()]  # type: ignore[misc]
+        return tuple(curve for curve in found if curve is not None)
 
     def curve(self, where: str, item: Located) -> Curve:
         fields = item.value if isinstance(item.value, dict) else {}

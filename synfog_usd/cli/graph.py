@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from synfog_usd import camera, files, resources, writers
+from synfog_usd.camera import template
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
 from synfog_usd.cli.worker import unheard
-from synfog_usd.errors import GraphError, OutputError
+from synfog_usd.errors import GraphError, OutputError, ParameterError, did_you_mean
 from synfog_usd.graph import Cache, NodeGraph, drawing, reference
 from synfog_usd.graph.cache import default_folder
 from synfog_usd.graph.op import Port
@@ -115,6 +116,18 @@ def schema_text() -> str:
         )
         + "\n"
     )
+
+
+def profile_text(kind: str) -> str:
+    """A commented profile to be filled in.
+
+    Raises:
+        ParameterError: neither a sensor nor a lens.
+    """
+    written = {"sensor": template.sensor_template, "lens": template.lens_template}
+    if kind not in written:
+        raise ParameterError(f"no profile {kind!r}; there are {', '.join(written)}.{did_you_mean(kind, written)}")
+    return written[kind]()
 
 
 def _exposed(exposure: camera.Exposure) -> str:

@@ -677,6 +677,14 @@ def graph_schema() -> None:
     print(verb.schema_text(), end="")
 
 
+@graph_app.command("profile")
+def graph_profile(kind: Annotated[str, typer.Argument(help="sensor or lens.")]) -> None:
+    """Print a sensor or lens to be filled in: every key with what it means and may be, as YAML that loads at once."""
+    from synfog_usd.cli import graph as verb
+
+    print(verb.profile_text(kind), end="")
+
+
 @asset_app.command("import")
 def asset_import(
     file: Annotated[Path, typer.Argument(help="Model: .glb, .gltf, .obj, .ply, .usd, .usda, .usdc or .usdz.")],

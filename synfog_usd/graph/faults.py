@@ -14,15 +14,16 @@ class Faults:
 
     Attributes:
         file: the file that is read; its faults are told before those of files that it includes.
+        error: kind of what is raised.
     """
 
-    def __init__(self, file: str) -> None:
-        self.file = file
+    def __init__(self, file: str, error: type[SynfogError] = GraphError) -> None:
+        self.file, self.error = file, error
         self._found: dict[str, tuple[Place, SynfogError]] = {}
 
     def add(self, place: Place, text: str) -> None:
         """Note a fault."""
-        self.take(place, GraphError(f"{place}: {text}"))
+        self.take(place, self.error(f"{place}: {text}"))
 
     def take(self, place: Place, error: SynfogError) -> None:
         """Note an error that was raised elsewhere and says its place itself."""
@@ -32,7 +33,7 @@ class Faults:
         """Go on only where nothing is wrong.
 
         Raises:
-            SynfogError: the one error, as it is; or a GraphError with a line for
+            SynfogError: the one error, as it is; or an `error` with a line for
                 each of several, in the order of the file.
         """
         errors = [
@@ -46,4 +47,4 @@ class Faults:
             raise errors[0]
         if errors:
             more = [f"... and {len(errors) - MOST} more"] if len(errors) > MOST else []
-            raise GraphError("\n".join([f"{self.file}: {len(errors)} errors", *map(str, errors[:MOST]), *more]))
+            raise self.error("\n".join([f"{self.file}: {len(errors)} errors", *map(str, errors[:MOST]), *more]))

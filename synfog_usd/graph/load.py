@@ -458,7 +458,7 @@ class _Loader:
                     f"output {file_name!r}{' ' if misspelt else ': '}{fault}",
                 )
             else:
-                said[word] = item.value
+                said[word] = output_files.OPTIONS[output_files.suffix_of(file_name)][word].read(item.value)
         node = entry.value.get(output_files.NODE)
         if node is None:
             self.faults.add(

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from synfog_usd.image import Image, Quantity
+from synfog_usd.yamlio import switch
 
 F = TypeVar("F", bound=Callable[..., Image])
 
@@ -205,7 +206,7 @@ class Parameter:
         """The value as the function wants it.
 
         Numbers may be written as text that Python or a photographer would read as
-        one: '1e-3' (which YAML 1.1 takes for text) and '1/60'.
+        one, '1e-3' and '1/60'; and true and false as on and off, yes and no.
 
         Raises:
             ValueError: it is of another type or outside the limits.
@@ -222,10 +223,8 @@ class Parameter:
                 raise ValueError(f"is {value!r}")
             return int(self._limited(number))
         if self.kind == "switch":
-            if isinstance(value, bool):
-                return value
-            if isinstance(value, str) and value.lower() in ("true", "false"):
-                return value.lower() == "true"
+            if isinstance(told := switch(value), bool):
+                return told
         elif self.kind == "choice":
             if value in self.choices:
                 return value

@@ -14,6 +14,7 @@ from typing import Any
 from synfog_usd.errors import did_you_mean
 from synfog_usd.graph.op import Port
 from synfog_usd.image import Quantity
+from synfog_usd.yamlio import switch
 
 Value = bool | int | str
 
@@ -34,9 +35,18 @@ class Option:
     def __str__(self) -> str:
         if isinstance(self.choices, range):
             return f"a whole number from {self.choices[0]} to {self.choices[-1]}"
-        if self.choices[0] in (True, False):
+        if self.switches:
             return "true or false"
         return "one of " + ", ".join(str(choice) for choice in self.choices)
+
+    @property
+    def switches(self) -> bool:
+        """Whether it is true or false."""
+        return isinstance(self.choices[0], bool)
+
+    def read(self, value: Any) -> Any:
+        """The value as the writer wants it; what it may not be stays as it is."""
+        return switch(value) if self.switches else value
 
     def holds(self, value: Any) -> bool:
         """Whether it may be that; 1 is not true, and 8.0 is not 8."""
@@ -139,7 +149,7 @@ def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
     if word not in options:
         names = [NODE, *options]
         return True, f"has no {word!r}; it takes {', '.join(names)}.{did_you_mean(word, names)}"
-    if not options[word].holds(value):
+    if not options[word].holds(options[word].read(value)):
         hint = (
             did_you_mean(value, [choice for choice in options[word].choices if isinstance(choice, str)])
             if isinstance(value, str)

@@ -14,7 +14,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import numbers, resources
+from synfog_usd import numbers, resources, yamlio
 from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
 from synfog_usd.errors import ParameterError, RecipeError, SetError, SynfogError, did_you_mean
 from synfog_usd.world.language import (
@@ -369,6 +369,8 @@ class _SetReader:
         }
         for key, value in found.items():
             place, (kind, form) = item.value[key].place, kinds[key]
+            if kind is bool:
+                found[key] = value = yamlio.switch(value)
             if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
                 raise SetError(f"{place}: quality.{key} is {value!r}; it takes {form}")
             try:
@@ -539,9 +541,9 @@ def whole(item: Located, what: str, low: int, high: int) -> int:
 
 def switch(item: Located, what: str) -> bool:
     """True or false."""
-    if not isinstance(item.value, bool):
+    if not isinstance(told := yamlio.switch(item.value), bool):
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes true or false")
-    return item.value
+    return told
 
 
 def share(item: Located, what: str) -> Fraction:

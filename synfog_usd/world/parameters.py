@@ -111,7 +111,7 @@ SURFACE: dict[str, Parameter] = {
 EGO: dict[str, Parameter] = {
     "camera.height_m": Continuous(1.0, 3.5, 1.45, "height of the lens over the road [m]"),
     "camera.headlights": Categorical(
-        ("low_beam_halogen", "low_beam_led"),
+        ("low_beam_halogen", "low_beam_led", "off"),
         {"low_beam_halogen": 1, "low_beam_led": 1},
         "dipped beams of the camera's car",
     ),

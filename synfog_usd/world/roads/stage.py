@@ -222,11 +222,9 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     """The camera's own headlights, and one mesh each of all lit windows and shops."""
     Usd.ModelAPI(UsdGeom.Xform.Define(stage, "/World/Lights").GetPrim()).SetKind(Kind.Tokens.group)
     UsdGeom.Scope.Define(stage, "/World/Lights/Headlights")
-    ground = float(spec.road.height(spec.view.x, spec.view.y))
-    for name, place in headlights(spec.view, ground):
-        lamps.author_lamp(
-            stage, f"/World/Lights/Headlights/{name}", spec.built["headlights"], place, lamps=f"{assets}/lamps"
-        )
+    ground, beams = float(spec.road.height(spec.view.x, spec.view.y)), spec.built["headlights"]
+    for name, place in headlights(spec.view, ground) if beams != "off" else ():
+        lamps.author_lamp(stage, f"/World/Lights/Headlights/{name}", beams, place, lamps=f"{assets}/lamps")
     lit = KINDS[type(spec.road)].PANES
     rng = stream(spec.scatter, lit.name, "lit")
     fronts: dict[str, list[tuple[Array, Array]]] = {name: [] for name in LIT_LOOK}
