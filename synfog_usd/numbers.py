@@ -30,6 +30,9 @@ LEAST_MOR_M = 0.03
 UNITS_M = (1e-6, 1e3)
 """Lengths of a stage's unit [m]: from micrometres to kilometres."""
 
+MOST_EV = 10.0
+"""Of stops by which a meter's exposure is changed."""
+
 MOST_LIGHT = 1e12
 """Of a factor for all lights, and of the sun's illuminance [lx]."""
 
@@ -124,6 +127,40 @@ def check_distance(metres: float | None) -> None:
     """
     if metres is not None and not 0.0 < metres < math.inf:
         raise ParameterError(f"--max-distance {metres:g}: it takes metres above 0")
+
+
+def seconds_of(text: str, option: str = "--exposure") -> float:
+    """Seconds of 1/200, 0.005 or 5e-3.
+
+    Raises:
+        ParameterError: it is neither, or not above 0.
+
+    >>> seconds_of("1/200")
+    0.005
+    """
+    above, slash, below = text.partition("/")
+    try:
+        found = float(above) / (float(below) if slash else 1.0)
+    except (ValueError, ZeroDivisionError):
+        found = math.nan
+    if not 0.0 < found < math.inf:
+        raise ParameterError(f"{option} {text}: it takes seconds above 0, as 1/200 or 0.005")
+    return found
+
+
+def check_exposure(*, exposure_s: float | None, iso: float | None, ev: float) -> None:
+    """Refuse an exposure that no camera has; what its sensor does not do is refused once that is known.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    for option, value in (("--exposure", exposure_s), ("--iso", iso)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise ParameterError(f"{option} {value:g}: it takes a number above 0")
+    if not abs(ev) <= MOST_EV:
+        raise ParameterError(f"--ev {ev:g}: outside -{MOST_EV:g} to {MOST_EV:g} stops; -1 is half of the light")
+    if ev != 0.0 and None not in (exposure_s, iso):
+        raise ParameterError(f"--ev {ev:g}: --exposure and --iso leave nothing to the meter; leave one of them out")
 
 
 def check_shutter(seconds: float | None) -> None:

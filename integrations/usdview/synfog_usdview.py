@@ -52,7 +52,7 @@ def words(verb, stage, camera, frame):
         for name in OWN_SETS:
             if sets.HasVariantSet(name) and (chosen := sets.GetVariantSelection(name)):
                 line += [f"--{name}", chosen]
-    return [*line, *(f"--set={choice}" for choice in chosen_here(stage))]
+    return [*line, *(f"--choose={choice}" for choice in chosen_here(stage))]
 
 
 def chosen_here(stage):

@@ -127,7 +127,7 @@ def develop(
     )
 
 
-def metered(graph: NodeGraph, images: Mapping[str, Image]) -> Exposure | None:
+def metered(graph: NodeGraph, images: Mapping[str, Image], *, compensation_ev: float = 0.0) -> Exposure | None:
     """Exposure for the radiance among some images; None where graph and images say how to expose, or there is none.
 
     Raises:
@@ -135,7 +135,9 @@ def metered(graph: NodeGraph, images: Mapping[str, Image]) -> Exposure | None:
     """
     known = set[str]().union(*(image.provenance for image in images.values()))
     radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
-    return meter(radiance, graph) if radiance is not None and not exposure_left_open(graph) <= known else None
+    if radiance is None or exposure_left_open(graph) <= known:
+        return None
+    return meter(radiance, graph, compensation_ev=compensation_ev)
 
 
 def exposure_left_open(graph: NodeGraph) -> set[str]:

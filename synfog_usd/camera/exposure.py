@@ -19,7 +19,7 @@ from synfog_usd import photometry
 from synfog_usd.camera import cfa
 from synfog_usd.camera.flare import block_means
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.errors import GraphError
+from synfog_usd.errors import GraphError, ParameterError
 from synfog_usd.graph import GraphRun, NodeGraph
 from synfog_usd.image import Image, Quantity
 
@@ -79,6 +79,53 @@ class Exposure:
     def settings(self) -> dict[str, float]:
         """What the `auto` parameters of a graph look up."""
         return {"exposure_s": self.exposure_s, "iso": self.iso}
+
+    def __str__(self) -> str:
+        """As photographers say it: '1/200 s, ISO 400'."""
+        limit = {
+            "bright": "; as short as it goes, and still bright",
+            "dark": "; as long and sensitive as it goes, and still dark",
+        }.get(self.limit, "")
+        return f"{as_time(self.exposure_s)}, ISO {self.iso:.4g}{limit}"
+
+
+def as_time(seconds: float) -> str:
+    """'1/200 s' below a second, '2 s' from there on."""
+    return f"1/{float(f'{1 / seconds:.4g}'):g} s" if seconds < 1.0 else f"{seconds:.4g} s"
+
+
+def exposed(graph: NodeGraph, *, exposure_s: float | None = None, iso: float | None = None) -> NodeGraph:
+    """A graph with an exposure time, an ISO speed or both instead of its own; the meter makes up for what is left open.
+
+    Args:
+        graph: with a sensor that exposes.
+        exposure_s: time [s]; iso: ISO speed.
+
+    Raises:
+        ParameterError: outside what the sensor does, or there is none.
+    """
+    if exposure_s is None and iso is None:
+        return graph
+    sensor = graph.profiles.get("sensor")
+    if not isinstance(sensor, SensorProfile) or not graph.nodes_with("sensor.expose"):
+        raise ParameterError(f"--exposure, --iso: the graph {graph.name!r} has no sensor that exposes; leave them out")
+    given: dict[str, float] = {}
+    if exposure_s is not None:
+        low, high = sensor.shortest_exposure_s, sensor.longest_exposure_s
+        if not low <= exposure_s <= high:
+            raise ParameterError(
+                f"--exposure {as_time(exposure_s)}: the sensor {sensor.name} takes {as_time(low)} to {as_time(high)}"
+            )
+        given["sensor.exposure_s"] = exposure_s
+    if iso is not None:
+        if not graph.nodes_with("sensor.gain"):
+            raise ParameterError(f"--iso {iso:g}: the graph {graph.name!r} has no sensor.gain, which an ISO speed sets")
+        if not sensor.iso_base <= iso <= sensor.iso_max:
+            raise ParameterError(
+                f"--iso {iso:g}: the sensor {sensor.name} takes {sensor.iso_base:g} to {sensor.iso_max:g}"
+            )
+        given["sensor.iso"] = iso
+    return graph.with_overrides(given)
 
 
 def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) -> Exposure:
@@ -338,6 +385,8 @@ def _chosen(
     limit: Literal["none", "bright", "dark"] = (
         "bright" if reached_s > wanted_s * (1.0 + 1e-9) else "dark" if reached_s < wanted_s * (1.0 - 1e-9) else "none"
     )
+    if fixed_s is not None and fixed_iso is not None:  # what is too bright or dark then is meant to be
+        limit = "none"
     return Exposure(exposure_s, iso, mean_cd_m2, limit)
 
 

@@ -58,7 +58,7 @@ def run(
         options = graph.options_of(name) if graph.outputs.get(name) == node else {}
         print(writers.write_output(name, results[node], out, options=options))
     if exposure is not None:
-        print(_exposed(exposure), file=sys.stderr)
+        print(f"exposure: {exposure}", file=sys.stderr)
     settings = exposure.settings if exposure else None
     print(drawing.table(graph, results, settings, width=_columns(), whole=False), file=sys.stderr)
 
@@ -128,15 +128,6 @@ def profile_text(kind: str) -> str:
     if kind not in written:
         raise ParameterError(f"no profile {kind!r}; there are {', '.join(written)}.{did_you_mean(kind, written)}")
     return written[kind]()
-
-
-def _exposed(exposure: camera.Exposure) -> str:
-    time_s = exposure.exposure_s
-    limit = {
-        "bright": "; as short as it goes, and still bright",
-        "dark": "; as long and sensitive as it goes, and still dark",
-    }.get(exposure.limit, "")
-    return f"exposure: {f'1/{1 / time_s:.4g}' if time_s < 1.0 else f'{time_s:.4g}'} s, ISO {exposure.iso:.4g}{limit}"
 
 
 def _changed(graph: NodeGraph, changes: Sequence[str]) -> NodeGraph:

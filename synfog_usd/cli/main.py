@@ -79,6 +79,9 @@ def bake(
             "has physics:velocity."
         ),
     ] = None,
+    exposure: options.Exposure = None,
+    iso: options.Iso = None,
+    ev: options.Ev = 0.0,
     lights: Annotated[
         str,
         typer.Option(
@@ -180,6 +183,9 @@ def bake(
             metres_per_unit=metres_per_unit,
             up=up,
             shutter_s=shutter,
+            exposure_s=_seconds(exposure),
+            iso=iso,
+            ev=ev,
             max_distance_m=max_distance,
             mask=_names(mask, "--mask") or (),
             size=_size(resolution),
@@ -233,6 +239,9 @@ def preview(
     up: options.Up = None,
     light_scale: options.LightScale = 1.0,
     sun_lux: options.SunLux = None,
+    exposure: options.Exposure = None,
+    iso: options.Iso = None,
+    ev: options.Ev = 0.0,
     resolution: options.Resolution = "320x180",
     samples: options.Samples = 2,
     variant: options.Variant = "auto",
@@ -260,6 +269,9 @@ def preview(
             up=up,
             light_scale=light_scale,
             sun_lux=sun_lux,
+            exposure_s=_seconds(exposure),
+            iso=iso,
+            ev=ev,
             size=_size(resolution),
             samples=samples,
             bands=3,
@@ -415,10 +427,7 @@ def compose(
     recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/residential.yaml.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
-    change: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="SECTION.KEY=VALUE over what the recipe says, as in traffic.count=20."),
-    ] = None,
+    change: options.Changes = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
 ) -> None:
     """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
@@ -449,9 +458,7 @@ def contact(
     model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
     variant: options.Variant = "auto",
     gpu: options.Gpu = None,
-    change: Annotated[
-        list[str] | None, typer.Option("--set", help="SECTION.KEY=VALUE over what the recipes say.")
-    ] = None,
+    change: options.Changes = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Show small previews of the stages that RECIPE draws, for choosing seeds."""
@@ -601,7 +608,7 @@ def graph_show(
     resolution: Annotated[
         str | None, typer.Option(help="Measure on an even grey picture of WIDTHxHEIGHT instead.")
     ] = None,
-    change: Annotated[list[str] | None, typer.Option("--set", help="NODE.PARAMETER=VALUE.")] = None,
+    change: options.Overrides = None,
 ) -> None:
     """Show every node with its parameters and where each value comes from."""
     from synfog_usd.cli import graph as verb
@@ -615,10 +622,7 @@ def graph_run(
     source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path(),
     meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,
-    change: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="NODE.PARAMETER=VALUE, or sensor.iso=400 for every node that it fits."),
-    ] = None,
+    change: options.Overrides = None,
     until: Annotated[
         str | None,
         typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng."),
@@ -770,6 +774,10 @@ def _count(text: str, option: str) -> int:
     return int(text)
 
 
+def _seconds(text: str | None) -> float | None:
+    return None if text is None else numbers.seconds_of(text)
+
+
 def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
@@ -779,12 +787,32 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
+OLD_WORDS = {
+    "bake": ("--set", "--choose"),
+    "preview": ("--set", "--choose"),
+    "check": ("--set", "--choose"),
+    "compose": ("--set", "--change"),
+    "contact": ("--set", "--change"),
+}
+"""Verb -> what one of its options was called, and is now."""
+
+
+def _in_new_words(arguments: list[str]) -> list[str]:
+    """A command line with the options' new names; a line says so."""
+    old, new = OLD_WORDS.get(arguments[0], ("", "")) if arguments else ("", "")
+    if not old or not any(word == old or word.startswith(f"{old}=") for word in arguments):
+        return arguments
+    if not worker.is_worker():
+        print(f"synfog-usd: {old} of {arguments[0]} is called {new} now", file=sys.stderr)
+    return [new + word.removeprefix(old) if word == old or word.startswith(f"{old}=") else word for word in arguments]
+
+
 def main(arguments: list[str] | None = None) -> Any:
     """Run one command line; the way out is always an exit code."""
     isolated.forget_foreign()
     try:
         with worker.printed():
-            app(args=arguments)
+            app(args=_in_new_words(sys.argv[1:] if arguments is None else arguments))
     except SynfogError as error:
         print(f"synfog-usd: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -11,7 +11,7 @@ from synfog_usd.errors import ParameterError, SynfogError
 
 
 def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
-    """What --set takes for the stage that is typed before it, for a shell to complete; nothing for one that fails."""
+    """What --choose takes for the stage that is typed before it, for a shell to complete; of a bad one nothing."""
     from synfog_usd import stage as usd
 
     try:
@@ -32,11 +32,27 @@ Frame = Annotated[float | None, typer.Option(help="Time code.")]
 Choices = Annotated[
     list[str] | None,
     typer.Option(
-        "--set",
-        help="PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
+        "--choose",
+        help="Variant of any prim, PRIM:SET=VARIANT, as /World/Car:paint=red; may be given again.",
         autocompletion=_variants_of_stage,
     ),
 ]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--change", help="SECTION.KEY=VALUE over what a recipe says, as in traffic.count=20."),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="NODE.PARAMETER=VALUE, or sensor.iso=400 for every node that it fits."),
+]
+Exposure = Annotated[
+    str | None,
+    typer.Option(
+        help="Exposure time in seconds, as 1/200, instead of the meter's; what moves is blurred by --shutter."
+    ),
+]
+Iso = Annotated[float | None, typer.Option(help="ISO speed instead of the meter's.")]
+Ev = Annotated[float, typer.Option(help="Stops by which the meter exposes brighter, as -1 for half of the light.")]
 MetresPerUnit = Annotated[
     float | None, typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own.")
 ]

@@ -25,7 +25,8 @@ Exit codes: 0 done; 1 done, but something that was asked to be an error was foun
 
 def page() -> str:
     """All commands: a table of contents, then a section for each, in the order of the program's own help."""
-    commands = list(_commands(typer.main.get_command(app), "synfog-usd"))
+    every = _commands(typer.main.get_command(app), "synfog-usd")
+    commands = [(name, command) for name, command in every if not command.hidden]
     contents = ["| command | does |", "|---|---|"]
     contents += [f"| [`{name}`](#{name.replace(' ', '-')}) | {_summary(command)} |" for name, command in commands]
     sections = [line for name, command in commands for line in _section(name, command)]

@@ -42,6 +42,7 @@ METERED = 0.01
 """Part of a shot that is done when its lighting is metered."""
 
 METER_WIDTH_PX = 160
+_METERED_ON = {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"}
 METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
 """Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
 
@@ -117,6 +118,13 @@ def bake(
                 f"fStop and focusDistance"
             )
     asked = plan
+    graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
+    metered = bool(camera.exposure_left_open(graph))
+    if plan.ev and not metered:
+        raise GraphError(
+            f"--ev {plan.ev:g}: graph {graph.name!r} itself says exposure time and ISO, so nothing is metered; change "
+            f"exposure_s or iso there"
+        )
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
         if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
@@ -149,7 +157,7 @@ def bake(
             f"prim with SynFogMediumAPI says where it is (see docs/artists.md)."
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metered = bool(camera.exposure_left_open(graph))
+    metered |= (plan.exposure_s, plan.iso) != (None, None)
     metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
@@ -252,7 +260,8 @@ def bake(
                         behind.wait,
                         within(step, METERED, SET_UP),
                     )
-                    log(f"{shot.lighting}: this view has {float(view.luminance.mean()):.3g} cd/m2 in clear air")
+                    mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
+                    log(f"{shot.lighting}: this view has {mean}, exposed {view.exposure}")
                 share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)
@@ -412,7 +421,7 @@ def _meter(
         loaded=resized(loaded, size),
     ).radiance
     ready()
-    exposure = camera.meter(frame, graph)
+    exposure = camera.meter(frame, graph, compensation_ev=plan.ev)
     if plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
@@ -636,6 +645,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         more["sharp_at_m"] = scene.camera.focus_m
     if specimen is not None:
         more["specimen"] = specimen
+    if plan.ev:
+        more["exposure_bias_ev"] = plan.ev
     if plan.clip is not None:
         more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
     radiance = rendered.radiance.with_metadata(**more)
@@ -694,7 +705,8 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         "exposure": {
             "exposure_s": exposure.exposure_s,
             "iso": exposure.iso,
-            "metered_on": f"the clear frame, {METER_WIDTH_PX} px wide",
+            **(_METERED_ON if None in (plan.exposure_s, plan.iso) else {}),
+            **({"ev": plan.ev} if plan.ev else {}),
         }
         if exposure
         else None,

@@ -74,6 +74,9 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             **({"same_noise": True} if plan.same_noise else {}),
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
             **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
+            **({"exposure_s": plan.exposure_s} if plan.exposure_s is not None else {}),
+            **({"iso": plan.iso} if plan.iso is not None else {}),
+            **({"ev": plan.ev} if plan.ev else {}),
         },
         "versions": library_versions(denoise=plan.denoise),
     }

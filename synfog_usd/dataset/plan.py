@@ -85,6 +85,8 @@ class BakePlan:
         lights: how the stage's intensities are meant, see `translate.translate`.
         light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
         shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
+        exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
+        ev: by how many stops the pictures are exposed brighter than the meter says.
         max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
         mask: prims of which alone the stage is made, with what sees and lights them, see `stage.open_stage`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
@@ -122,6 +124,9 @@ class BakePlan:
     metres_per_unit: float | None = None
     up: str | None = None
     shutter_s: float | None = None
+    exposure_s: float | None = None
+    iso: float | None = None
+    ev: float = 0.0
     max_distance_m: float | None = None
     mask: tuple[str, ...] = ()
     allow: tuple[Path, ...] = ()
@@ -138,6 +143,7 @@ class BakePlan:
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
         numbers.check_distance(self.max_distance_m)
         numbers.check_shutter(self.shutter_s)
+        numbers.check_exposure(exposure_s=self.exposure_s, iso=self.iso, ev=self.ev)
         if self.bands is not None:
             numbers.check_bands(self.bands)
         for name in self.fog or ():

@@ -46,9 +46,12 @@ SECTIONS = (
     "same_noise",
     "size",
     "quality",
+    "exposure",
     "splits",
 )
 QUALITY = ("model", "samples", "target_error", "bands", "denoise", "regularize", "cull")
+EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
+"""Key of a set's exposure -> what `BakePlan` calls it."""
 HELD_OUT = ("models", "recipes", "skies")
 MOST_SCENES = 1_000_000
 MOST_EXTENDS = 8
@@ -111,7 +114,7 @@ class SetDefinition:
         asm_estimated: names of those that also develop the clear frame in a guessed fog, see `unit`.
         same_noise: see `BakePlan`.
         size: (width, height) [px], or None for the stage's own.
-        quality: options of `BakePlan`.
+        quality: options of `BakePlan`; exposure: likewise, of all its pipelines.
         folder: where relative paths in `words` start from.
         words: what makes the same set again, as `make_set` takes it.
         offers: what stages offer, by file, of those that were read; others are read when their scene is planned.
@@ -132,6 +135,7 @@ class SetDefinition:
     same_noise: bool
     size: tuple[int, int] | None
     quality: Mapping[str, Any]
+    exposure: Mapping[str, float]
     folder: Path
     words: Mapping[str, Any] = field(repr=False)
     offers: Mapping[Path, Offer] = field(default_factory=dict, repr=False, compare=False)
@@ -222,6 +226,7 @@ class _SetReader:
             same_noise=of("same_noise", lambda item: switch(item, "same_noise"), False),
             size=of("size", self.size, None),
             quality=of("quality", self.quality, {}),
+            exposure=of("exposure", self.exposure, {}),
             folder=self.folder,
             words={},
         )
@@ -388,6 +393,24 @@ class _SetReader:
                 raise SetError(f"{place}: quality.{key}: {error}") from error
         return found
 
+    def exposure(self, item: Located) -> dict[str, float]:
+        found: dict[str, float] = {}
+        for key, entry in mapping(item, "exposure", tuple(EXPOSURE)).items():
+            value = entry.value
+            if isinstance(value, bool) or not isinstance(value, int | float | str):
+                raise SetError(
+                    f"{entry.place}: exposure.{key} is {entry.plain()!r}; it takes a number, as 1/200 or 400"
+                )
+            try:
+                found[EXPOSURE[key]] = numbers.seconds_of(str(value)) if key == "time" else float(value)
+            except (ParameterError, ValueError) as error:
+                raise SetError(f"{entry.place}: exposure.{key}: {error}") from error
+        try:
+            numbers.check_exposure(**{"exposure_s": None, "iso": None, "ev": 0.0, **found})
+        except ParameterError as error:
+            raise SetError(f"{item.place}: exposure: {error}") from error
+        return found
+
     def splits(self, item: Located) -> tuple[Split, ...]:
         if not isinstance(item.value, dict) or not item.value:
             raise SetError(f"{item.place}: splits is {item.plain()!r}; it takes {{train: 9, test: 1}} or the like")
@@ -472,6 +495,7 @@ class _SetReader:
             place = items["pipelines"].value[index].place if "pipelines" in items else path
             try:
                 graph = camera.load_graph(path)
+                exposed(graph, found.exposure)
             except SynfogError as error:
                 raise SetError(f"{place}: pipelines: {error}") from error
             if [str(port) for port in graph.inputs.values()] != ["radiance"] or moments_of(graph):
@@ -502,6 +526,17 @@ class _SetReader:
             **({"stages": of_stages} if of_stages else {}),
             "pipelines": [named(path.resolve(), pipelines) for path in found.pipelines],
         }
+
+
+def exposed(graph: Any, exposure: Mapping[str, float]) -> Any:
+    """A graph as the exposure of a set has it.
+
+    Raises:
+        ParameterError: outside what its sensor does.
+    """
+    from synfog_usd import camera
+
+    return camera.exposed(graph, exposure_s=exposure.get("exposure_s"), iso=exposure.get("iso"))
 
 
 def _different(found: Sequence[Source], item: Located) -> tuple[Source, ...]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from synfog_usd import resources
 from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
-from synfog_usd.numbers import BANDS, RGB, SAMPLES
+from synfog_usd.numbers import BANDS, MOST_EV, RGB, SAMPLES
 from synfog_usd.render.models import AUTO, MODELS
 from synfog_usd.sets.definition import (
     HELD_OUT,
@@ -105,6 +105,16 @@ def _sections() -> dict[str, Any]:
                 "denoise": {"type": "boolean"},
                 "regularize": {"type": "boolean"},
                 "cull": {"type": "boolean"},
+            },
+        },
+        "exposure": {
+            "type": "object",
+            "additionalProperties": False,
+            "description": "As options of bake: exposure time in seconds, as 1/200, ISO, stops over the meter.",
+            "properties": {
+                "time": {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string"}]},
+                "iso": {"type": "number", "exclusiveMinimum": 0},
+                "ev": {"type": "number", "minimum": -MOST_EV, "maximum": MOST_EV},
             },
         },
         "splits": {

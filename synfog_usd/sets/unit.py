@@ -20,7 +20,7 @@ from synfog_usd.dataset.plan import CLEAR, BakePlan, noise_seed
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import layout
-from synfog_usd.sets.definition import SetDefinition
+from synfog_usd.sets.definition import SetDefinition, exposed
 from synfog_usd.sets.layout import Unit
 from synfog_usd.sets.scenes import PlannedScene, held_out, scene
 
@@ -88,6 +88,7 @@ def make(
                 by_lighting=False,
                 same_noise=found.same_noise,
                 **found.quality,
+                **found.exposure,
             )
             baked = bake(plan, progress=progress, log=log, reading=reading)
         more = _developments(found, folder, baked.manifest["shots"], planned)
@@ -261,9 +262,12 @@ def _developed(
     """What a pipeline makes of shots, metered on the clear one: shot -> exposure and outputs."""
     from synfog_usd import camera, writers
 
-    graph = camera.load_graph(pipeline)
+    graph = exposed(camera.load_graph(pipeline), found.exposure)
     (wanted,) = graph.inputs
-    exposure = camera.metered(graph, {wanted: _radiance(folder, CLEAR)}) if shots else None
+    exposure = None
+    if shots:
+        clear = {wanted: _radiance(folder, CLEAR)}
+        exposure = camera.metered(graph, clear, compensation_ev=found.exposure.get("ev", 0.0))
     made = {}
     for row in shots:
         shot = row["folder"]

@@ -533,17 +533,17 @@ def override(
                     else "no prim of the stage has variants"
                 )
                 raise StageError(
-                    f"--set {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}"
+                    f"--choose {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}"
                 )
             sets = prim.GetVariantSets().GetNames()
             if name not in sets:
                 raise StageError(
-                    f"--set {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}"
+                    f"--choose {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}"
                 )
             names = prim.GetVariantSet(name).GetVariantNames()
             if variant not in names:
                 raise StageError(
-                    f"--set {choice}: variant set {name!r} of {where} has "
+                    f"--choose {choice}: variant set {name!r} of {where} has "
                     f"{', '.join(names)}.{did_you_mean(variant, names)}"
                 )
             prim.GetVariantSet(name).SetVariantSelection(variant)
@@ -568,7 +568,7 @@ def _variant_named(choice: str) -> tuple[str, str, str]:
     place, equals, variant = choice.partition("=")
     where, colon, name = place.rpartition(":")
     if not (equals and colon and variant and name and Sdf.Path.IsValidPathString(where) and where.startswith("/")):
-        raise StageError(f"--set {choice}: not PRIM:SET=VARIANT, as in /World/Car:paint=red")
+        raise StageError(f"--choose {choice}: not PRIM:SET=VARIANT, as in /World/Car:paint=red")
     return where, name, variant
 
 

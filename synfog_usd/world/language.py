@@ -134,9 +134,9 @@ def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
         name, found, text = change.partition("=")
         section, dot, key = name.strip().partition(".")
         if not found or not dot or not section or not key or not isinstance(root.value, dict):
-            raise RecipeError(f"--set {change}: takes SECTION.KEY=VALUE, as in traffic.count=20")
-        place = Place(f"--set {change}", 1, 1)
-        value = replace(load_text(text, name=f"--set {change}", error=RecipeError), key_place=place)
+            raise RecipeError(f"--change {change}: takes SECTION.KEY=VALUE, as in traffic.count=20")
+        place = Place(f"--change {change}", 1, 1)
+        value = replace(load_text(text, name=f"--change {change}", error=RecipeError), key_place=place)
         old = root.value.get(section)
         items = dict(old.value) if old is not None and isinstance(old.value, dict) else {}
         items[key] = value

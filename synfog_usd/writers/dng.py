@@ -343,6 +343,7 @@ def _exif(metadata: Mapping[str, Any]) -> list[tuple[int, int, int, bytes]]:
         *_short(34855, metadata["iso"]),
         (36864, _UNDEFINED, 4, b"0231"),
         (36867, *_text(FIXED_DATE)),
+        *_signed_fraction(37380, metadata.get("exposure_bias_ev")),
         *_fraction(37386, metadata.get("focal_length_mm")),
     ]
     if "sensor_serial" in metadata:
@@ -403,6 +404,12 @@ def _fractions(code: int, kind: int, values: Sequence[Any], denominator: int) ->
     if not all(least - 0.5 < value < most + 0.5 for value in scaled):
         return []
     return [(code, kind, len(values), tuple(number for value in scaled for number in (round(value), denominator)))]
+
+
+def _signed_fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+    """An Exif entry of a signed number in thousandths; none where 32 bits cannot hold it."""
+    scaled = _number(value) * 1000.0
+    return [(code, _SRATIONAL, 1, struct.pack("<ii", round(scaled), 1000))] if abs(scaled) < 2**31 - 1 else []
 
 
 def _fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:

@@ -11,7 +11,7 @@ from synfog_usd import camera, resources
 from synfog_usd.camera import cfa
 from synfog_usd.camera import exposure as metering
 from synfog_usd.camera.profiles import Curve, QuantumEfficiency
-from synfog_usd.errors import GraphError
+from synfog_usd.errors import GraphError, ParameterError
 from synfog_usd.image import Image, Quantity
 
 
@@ -100,6 +100,27 @@ def test_what_the_graph_fixes_stays_and_the_other_makes_up_for_it(phone):
         "none",
     )
     assert camera.meter(image, phone.with_overrides({"expose.exposure_s": 10})).limit == "bright"
+
+
+def test_a_photographers_exposure_goes_over_the_graph_and_stays_in_the_sensors_range(phone):
+    """The imx363 of the phone takes 1/20000 to 1/15 s and ISO 55 to 7040; what is left open is metered as before."""
+    image = street(50.0, 8.0)
+    free = camera.meter(image, phone)
+    both = camera.exposed(phone, exposure_s=1 / 200, iso=400.0)
+    assert camera.exposure_left_open(both) == set()
+    found = camera.meter(image, both)
+    assert (found.exposure_s, found.iso, found.limit, str(found)) == (1 / 200, 400.0, "none", "1/200 s, ISO 400")
+    time = camera.meter(image, camera.exposed(phone, exposure_s=free.exposure_s / 2))
+    assert time.iso == pytest.approx(2.0 * free.iso)
+    assert camera.exposed(phone) is phone
+    for words, told in (
+        ({"exposure_s": 1.0}, r"--exposure 1 s: the sensor imx363 takes 1/20000 s to 1/15 s"),
+        ({"exposure_s": 1e-6}, r"--exposure 1/1e\+06 s: .* 1/20000 s"),
+        ({"iso": 50.0}, r"--iso 50: the sensor imx363 takes 55 to 7040"),
+        ({"iso": 8000.0}, r"--iso 8000"),
+    ):
+        with pytest.raises(ParameterError, match=told):
+            camera.exposed(phone, **words)
 
 
 def test_develop_meters_only_where_the_exposure_is_left_open(phone):

@@ -514,3 +514,50 @@ def test_what_is_refused_at_once_loads_no_library():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "2 []\n" and done.stderr.startswith("synfog-usd: --samples 0: ")
+
+
+def test_a_bake_is_exposed_as_a_photographer_says(stage, tmp_path):
+    """Time and ISO stand in the RAW's Exif, as LibRaw reads them, and in bake.json; a stop less is half of the light;
+    and what a sensor cannot do is refused before anything is written.
+    """
+    import rawpy
+
+    common = ("bake", stage, "--lighting", "sky", "--fog", "clear", "--resolution", "64x36", "--samples", "8")
+
+    def baked(name, *more):
+        done = run(*common, "-o", tmp_path / name, *more)
+        assert done.returncode == 0, done.stderr
+        row = json.loads((tmp_path / name / "bake.json").read_text())["shots"][0]
+        with rawpy.imread(str(tmp_path / name / "sky/clear/raw.dng")) as raw:
+            light = raw.raw_image_visible.astype(float).mean() - raw.black_level_per_channel[0]
+            return row["exposure"], light, (raw.other.shutter_speed, raw.other.iso_speed)
+
+    exposure, light, exif = baked("free")
+    fixed, _, exif = baked("fixed", "--exposure", "1/2000", "--iso", "200")
+    assert fixed == {"exposure_s": 1 / 2000, "iso": 200.0} and exif == (pytest.approx(1 / 2000, rel=1e-6), 200.0)
+    darker, less, _ = baked("darker", "--ev", "-1")
+    assert darker["ev"] == -1.0
+    assert darker["exposure_s"] * darker["iso"] == pytest.approx(exposure["exposure_s"] * exposure["iso"] / 2)
+    assert less == pytest.approx(light / 2, rel=0.03)  # shot noise of 2304 pixels, and rounding to whole numbers
+    again = baked("darker", "--ev", "-1")
+    assert again[0] == darker
+    for more, told in (
+        (("--exposure", "1"), "--exposure 1 s: the sensor"),
+        (("--exposure", "1/0"), "--exposure 1/0: it takes seconds"),
+        (("--ev", "20"), "--ev 20: outside -10 to 10 stops"),
+    ):
+        done = run(*common, "-o", tmp_path / "none", *more)
+        assert done.returncode == 2 and told in done.stderr and not (tmp_path / "none").exists()
+
+
+def test_an_option_by_its_old_name_is_taken_and_its_new_one_told(stage, tmp_path, capsys):
+    """--set was three things in three verbs."""
+    from synfog_usd.cli.main import _in_new_words
+
+    assert _in_new_words(["bake", "a.usda", "--set", "/W:fog=x", "--set=/W:a=b"]) == [
+        *("bake", "a.usda", "--choose", "/W:fog=x"),
+        "--choose=/W:a=b",
+    ]
+    assert "--set of bake is called --choose now" in capsys.readouterr().err
+    graph = ["graph", "run", "phone", "--set", "sensor.iso=400"]
+    assert _in_new_words(graph) is graph and not capsys.readouterr().err

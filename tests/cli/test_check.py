@@ -107,7 +107,7 @@ def test_a_stage_is_checked_as_it_would_be_baked(stage):
     assert "units" not in {one.rule for one in verb.look(path, metres_per_unit=0.1)[0]}
     assert verb.look(path, choices=["/World:fog=clear"])  # a choice that there is
     for words, told in (
-        (["--set", "/World:fog=none"], "variant set 'fog' of /World has"),
+        (["--choose", "/World:fog=none"], "variant set 'fog' of /World has"),
         (["--up", "sideways"], "--up sideways: it takes X, Y or Z"),
         (["--meters-per-unit", "0"], "--meters-per-unit 0: outside"),
     ):

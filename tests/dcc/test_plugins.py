@@ -115,7 +115,7 @@ def test_boxes_of_fog_are_shown_where_they_are(plugin, stage):
 
 
 def test_the_command_line_has_camera_frame_and_chosen_variants(plugin, stage):
-    """Fog and lighting as they are chosen, another set by --set where usdview chose it."""
+    """Fog and lighting as they are chosen, another set by --choose where usdview chose it."""
     wall = stage.GetPrimAtPath("/World/Wall")
     with Usd.EditContext(stage, stage.GetRootLayer()):
         wall.GetVariantSets().AddVariantSet("paint").AddVariant("red")
@@ -124,7 +124,7 @@ def test_the_command_line_has_camera_frame_and_chosen_variants(plugin, stage):
         stage.GetPrimAtPath("/World").GetVariantSet("fog").SetVariantSelection("mor600")
     line = plugin.words("bake", stage, "/World/Ego", Usd.TimeCode(12))
     assert line[:4] == ["bake", stage.GetRootLayer().realPath, "--camera", "/World/Ego"]
-    assert line[6:] == ["--frame", "12", "--fog", "mor600", "--lighting", "sky", "--set=/World/Wall:paint=red"]
+    assert line[6:] == ["--frame", "12", "--fog", "mor600", "--lighting", "sky", "--choose=/World/Wall:paint=red"]
 
 
 @pytest.mark.parametrize("what", ["no tool", "no file", "no camera"])

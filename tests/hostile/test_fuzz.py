@@ -524,7 +524,17 @@ def test_any_damaged_graph_is_loaded_or_told(tmp_path_factory, damage):
 
 OPTIONS = (
     *("--resolution", "--samples", "--time-limit", "--target-error", "--bands", "--frame", "--fog", "--lighting"),
-    *("--camera", "--set", "--sun-lux", "--light-scale", "--meters-per-unit", "--up", "--max-distance", "--mask", "-o"),
+    *(
+        "--camera",
+        "--choose",
+        "--sun-lux",
+        "--light-scale",
+        "--meters-per-unit",
+        "--up",
+        "--max-distance",
+        "--mask",
+        "-o",
+    ),
     *("--model", "--seed", "--variant", "--lights", "--pipeline", "--allow", "--no-such", "--", "-q"),
 )
 ODD = (

@@ -50,6 +50,20 @@ def test_a_set_extends_another_section_by_section(tmp_path):
     assert [one.fogs for one in scenes(found, [0])] == [("mor150",)]
 
 
+def test_an_exposure_is_that_of_all_pipelines(tmp_path):
+    """Seconds as photographers write them; each pipeline's sensor is asked."""
+    found = load_set(written(tmp_path, SMALL + "exposure: {time: 1/500, ev: -1}\n"))
+    assert found.exposure == {"exposure_s": 1 / 500, "ev": -1.0}
+    for words, told in (
+        ("{time: x}", r"own.yaml:\d+:\d+: exposure.time: --exposure x: it takes seconds"),
+        ("{time: 1/500, iso: 100, ev: 1}", r"exposure: --ev 1: .* leave nothing to the meter"),
+        ("{iso: 7}", r"pipelines: --iso 7: the sensor \w+ takes"),
+        ("{speed: 7}", r"exposure has no 'speed'; it takes time, iso, ev"),
+    ):
+        with pytest.raises(SynfogError, match=told):
+            load_set(written(tmp_path, SMALL + f"exposure: {words}\n"))
+
+
 def test_paths_start_from_the_file_that_names_them(tmp_path):
     """Also where that file is extended by one elsewhere, and where its words are used again from another folder."""
     (tmp_path / "base" / "worlds").mkdir(parents=True)

@@ -292,7 +292,7 @@ def test_a_shell_completes_variants_from_the_stage(tmp_path, monkeypatch, capsys
 
     def asked(file, begun):
         monkeypatch.setenv("_SYNFOG_USD_COMPLETE", "complete_zsh")
-        monkeypatch.setenv("_TYPER_COMPLETE_ARGS", f"synfog-usd bake {tmp_path / file} --set {begun}")
+        monkeypatch.setenv("_TYPER_COMPLETE_ARGS", f"synfog-usd bake {tmp_path / file} --choose {begun}")
         with pytest.raises(SystemExit):
             app(prog_name="synfog-usd")
         return re.findall(r"/[\w/]+:\w+=\w+", capsys.readouterr().out.replace("\\", ""))

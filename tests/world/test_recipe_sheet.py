@@ -51,7 +51,7 @@ def test_a_folder_gives_its_recipes_by_name_and_an_empty_one_is_refused(tmp_path
         (["--seeds", "x"], "--seeds x"),
         (["-o", "sheet.jpg"], ".png"),
         (["--lighting", "night"], "sky and active"),
-        (["--set", "a=1"], "SECTION.KEY=VALUE"),
+        (["--change", "a=1"], "SECTION.KEY=VALUE"),
     ],
 )
 def test_the_command_refuses_in_one_line(tmp_path, options, words):

@@ -50,6 +50,8 @@ def exif_of(path) -> dict[int, tuple]:
         found[code] = (
             struct.unpack_from("<II", data, place)
             if kind == 5
+            else struct.unpack_from("<ii", data, place)
+            if kind == 10
             else struct.unpack("<HH", raw)[:1]
             if kind == 3
             else (data[place : place + count] if count > 4 else raw)
@@ -128,7 +130,9 @@ def test_exif_says_how_it_was_taken(mosaic, tmp_path):
         mosaic.width_px * 1.4e-3 / 2 / np.tan(np.radians(mosaic.provenance["fov_x_deg"]) / 2)
     )  # the view on so many pixels of 1.4 um
     assert exif[37386][0] / exif[37386][1] == pytest.approx(fits_mm, rel=1e-6)
-    assert exif[36864] == b"0231"
+    assert exif[36864] == b"0231" and 37380 not in exif
+    write_dng(tmp_path / "b.dng", mosaic.with_metadata(exposure_bias_ev=-1.5))
+    assert exif_of(tmp_path / "b.dng")[37380] == (-1500, 1000)
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless"])
