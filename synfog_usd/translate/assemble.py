@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from synfog_usd.arrays import Array, extent
 from synfog_usd.errors import StageError
@@ -30,12 +30,14 @@ from synfog_usd.translate.camera import at_mid_exposure, half_exposure, read_cam
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.instanced import FEWEST_KINDS, MOST_KINDS, MOST_TRIANGLES, Around, InstancePrimvars
 from synfog_usd.translate.lanes import lanes
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
-from synfog_usd.translate.material import Materials
+from synfog_usd.translate.material import Materials, is_empty
 from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
-from synfog_usd.translate.shapes import Meshes, Shapes
+from synfog_usd.translate.primvars import Given
+from synfog_usd.translate.shapes import MOST_BALLS, Meshes, Part, Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
@@ -160,7 +162,7 @@ def with_boundaries(
         instance_of=scene.instance_of,
         group_of=scene.group_of,
         flux_of={name: times * lumen for name, lumen in scene.flux_of.items()},
-        reflectance_of=scene.materials.reflectance_of,
+        reflectance_of={key: curve for key, curve in scene.materials.reflectance_of.items() if key in world},
         emission_of=scene.emission_of,
         motion_of=scene.motion_of,
         bounds_m=bounds,
@@ -339,6 +341,7 @@ class _Assembler:
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
         self.spread: list[Array | np.ndarray] = []
+        self.of_instances = InstancePrimvars(time, notes, self.bindings.inherited)
         self.twins = Twins(notes)
         self.sky_paths: list[str] = []
         self.sky_names: list[str] = []
@@ -388,7 +391,7 @@ class _Assembler:
             return False
         path = leaf.path
         if path not in self.fog_boxes:
-            self.fog_boxes[path] = self.materials.finish(material).empty and volume.fog_box(
+            self.fog_boxes[path] = is_empty(material) and volume.fog_box(
                 leaf.prim, material, self.time, self.notes, is_blender=self.is_blender
             )
         return self.fog_boxes[path]
@@ -435,8 +438,19 @@ class _Assembler:
             )
             self.put_fog(leaf, None, matrix)
             return
-        for shape, emission, nits in self.drawer.parts(leaf, matrix):
+        given = self.around(placement) if placement is not None else None
+        for shape, emission, nits in self.drawer.parts(leaf, matrix, given):
             self.add_shape(shape, emission, nits, leaf, placement, around)
+
+    def around(self, placement: GroupInstance, asked: set[str] | None = None) -> Around:
+        """What an instance gives to its leaves; the names that they ask for are added to `asked`."""
+
+        def value(name: str) -> Given | None:
+            if asked is not None:
+                asked.add(name)
+            return self.of_instances.value(placement, name)
+
+        return Around(Sdf.Path(self.roots[placement.group]), value)
 
     def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
         made = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
@@ -568,31 +582,58 @@ class _Assembler:
             self.instance_of[(key,)] = instance
 
     def put_group(self, leaves: list[Leaf], places: list[GroupInstance]) -> None:
-        """A group's leaves once and its placements as instances; what shines is placed one by one."""
+        """A group's leaves once, and its placements as instances; what shines, and few balls, are placed one by one."""
+        single, few = len(places) == 1, len(places) <= MOST_BALLS
+        alone = [
+            leaf
+            for leaf in leaves
+            if single
+            or (few and leaf.kind == "Sphere")
+            or leaf.kind.endswith("Light")
+            or leaf.kind in _DOMES
+            or leaf.fog is not None
+            or self.is_fog_box(leaf) is not False
+        ]
+        for leaf in alone:
+            for place in places:
+                self.put(leaf, place, self.space.matrix @ place.matrix)
+        apart = {id(leaf) for leaf in alone}
+        rest = [leaf for leaf in leaves if id(leaf) not in apart]
+        if not rest:
+            return
+        asked = set[str]()
+        given = self.around(places[0], asked)
+        first = [(leaf, self.drawer.parts(leaf, leaf.matrix, given, in_group=True)) for leaf in rest]
+        faces = sum(len(shape.get("faces", ())) for _, parts in first for shape, _, _ in parts)
+        most = min(max(MOST_TRIANGLES // max(faces, 1), FEWEST_KINDS), MOST_KINDS)
+        kinds = self.of_instances.kinds(places, sorted(asked), most) if asked else []
+        if len(kinds) < 2:
+            self.put_kind(first, places, None)
+            return
+        arounds = [Around(Sdf.Path(self.roots[places[0].group]), given.get) for given, _ in kinds]
+        made: list[list[tuple[Leaf, list[Part]]]] = [[] for _ in kinds]
+        for leaf in rest:
+            with self.drawer.one_mesh():
+                for parts, given in zip(made, arounds, strict=True):
+                    parts.append((leaf, self.drawer.parts(leaf, leaf.matrix, given, in_group=True)))
+        for parts, given, (_, rows) in zip(made, arounds, kinds, strict=True):
+            self.put_kind(parts, [places[row] for row in rows.tolist()], given)
+
+    def put_kind(self, made: list[tuple[Leaf, list[Part]]], places: list[GroupInstance], given: Around | None) -> None:
+        """Instances of one group to which all around gives the same."""
         there = np.array([place.matrix for place in places])
         matrices = list(self.space.matrix @ there)
         shared: list[tuple[Leaf, dict[str, Any]]] = []
         twins = Twins(self.notes)
-        single = len(places) == 1
-        for leaf in leaves:
-            kind = leaf.kind
-            if (
-                single
-                or kind.endswith("Light")
-                or kind in _DOMES
-                or leaf.fog is not None
-                or self.is_fog_box(leaf) is not False
-            ):
-                for place, around in zip(places, matrices, strict=True):
-                    self.put(leaf, place, around)
-                continue
-            made = self.drawer.parts(leaf, leaf.matrix)
+        for leaf, parts in made:
             shared += [
-                (leaf, shape) for shape, emission, _ in made if emission is None and not twins.hides(shape, leaf.path)
+                (leaf, shape) for shape, emission, _ in parts if emission is None and not twins.hides(shape, leaf.path)
             ]
-            if any(emission is not None for _, emission, _ in made):
+            if any(emission is not None for _, emission, _ in parts):
                 for place, around in zip(places, matrices, strict=True):
-                    for shape, emission, nits in self.drawer.parts(leaf, around @ leaf.matrix):
+                    for shape, emission, nits in self.drawer.parts(
+                        leaf, around @ leaf.matrix, given or self.around(place)
+                    ):
                         if emission is not None:
                             self.add_shape(shape, emission, nits, leaf, place, around)
         if not shared:

@@ -5,6 +5,7 @@ Takes the leaves of a walk; gives finishes.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -12,9 +13,11 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.instanced import Around, Inherited
 from synfog_usd.translate.material import DISPLAY, Finish, Materials
+from synfog_usd.translate.primvars import Given, constant, flattened
 from synfog_usd.translate.shading import GREY
-from synfog_usd.translate.walk import ALSO_OVERS, MESHES, Leaf
+from synfog_usd.translate.walk import ALSO_OVERS, CURVES, MESHES, Leaf
 
 _SEEN = Usd.TraverseInstanceProxies(ALSO_OVERS)
 
@@ -33,6 +36,7 @@ class Bindings:
         self.sheer = False
         self._previewed: dict[str, Any] = {}
         self._below: dict[str, list[Usd.Prim]] = {}
+        self.inherited = Inherited(time)
 
     def look_up(self, leaves: list[Leaf]) -> None:
         """Look up the materials of all prims and subsets at once."""
@@ -53,8 +57,9 @@ class Bindings:
                 )[0]
                 self._previewed = {path: material for path, material in zip(bare, shown, strict=True) if material}
 
-    def finish_of(self, leaf: Leaf, path: str, *, varying_color: bool) -> Finish:
-        """The finish of a leaf, or of a subset of it, at `path`."""
+    def finish_of(self, leaf: Leaf, path: str, around: Around | None = None) -> Finish:
+        """The finish of a leaf, or of a subset of it, at `path`, within an instance or not."""
+        look = functools.partial(self.given, leaf, around)
         material = self.bound.get(path)
         if leaf.material is not None and (material is None or leaf.stronger):
             material = UsdShade.Material(self.stage.GetPrimAtPath(leaf.material))
@@ -62,47 +67,67 @@ class Bindings:
             material = self._previewed[path]
             self.notes.info(path, "its material is bound for purpose 'preview' alone, and is drawn")
         if material:
-            finish = self.materials.finish(material)
-            if not finish.empty:
+            finish = self.materials.finish(material, look, leaf.path)
+            if not (finish.empty or finish.unknown):
                 return finish
-            self.notes.warn(
-                leaf.path, f"its material {material.GetPath()} has no surface; displayColor or grey is used"
-            )
-        opacity = self.opacity_of(leaf.prim) if self.sheer else 1.0
-        if varying_color:
+            if finish.empty:
+                self.notes.warn(
+                    leaf.path, f"its material {material.GetPath()} has no surface; displayColor or grey is used"
+                )
+        opacity = self._opacity(leaf, look("displayOpacity")) if self.sheer else 1.0
+        shown = look(DISPLAY)
+        if shown is not None and shown.varies:
             return self.materials.vertex_colored(opacity)
-        return self.materials.colored(leaf.color or GREY, opacity)
+        color = shown.colour if shown is not None else GREY
+        if shown is not None and color is None:
+            self.notes.warn(leaf.path, f"primvar displayColor {shown.what}, and is no colour; grey is drawn")
+        return self.materials.colored(color or GREY, opacity)
 
-    def opacity_of(self, prim: Usd.Prim) -> float:
-        """Mean displayOpacity of a shape without a material, also from above it."""
-        primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
-        values = primvar.Get(self.time) if primvar and primvar.HasAuthoredValue() else None
-        if values is None or not len(values):
+    def _opacity(self, leaf: Leaf, given: Given | None) -> float:
+        """Mean displayOpacity of a shape without a material."""
+        if given is None:
             return 1.0
-        mean = float(np.mean(values))
-        if min(values) != max(values) and math.isfinite(mean):
-            self.notes.warn(prim.GetPath(), "displayOpacity that varies is drawn as its mean")
+        if isinstance(given.value, str) or len(given.value) != 1:
+            self.notes.warn(leaf.path, f"primvar displayOpacity {given.what}, and is no number; 1 is taken")
+            return 1.0
+        mean = given.value[0]
+        if given.varies and math.isfinite(mean):
+            self.notes.warn(leaf.path, "displayOpacity that varies is drawn as its mean")
         taken = min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
         if mean != taken:
-            self.notes.warn(prim.GetPath(), f"displayOpacity is {mean:g}, which is no opacity; {taken:g} is taken")
+            self.notes.warn(leaf.path, f"displayOpacity is {mean:g}, which is no opacity; {taken:g} is taken")
         return taken
 
-    def is_bare(self, leaf: Leaf) -> bool:
-        """Whether a shape has no material, so that its own colours count."""
-        return leaf.path not in self.bound and leaf.path not in self._previewed and leaf.material is None
+    def given(self, leaf: Leaf, around: Around | None, name: str) -> Given | None:
+        """The primvar `name` of a leaf: its own, else a constant one from above it within the prototype, from the
+        instances around, or from above the prototype.
+        """
+        own = UsdGeom.PrimvarsAPI(leaf.prim).GetPrimvar(name) if f"primvars:{name}" in leaf.authored else None
+        if own and own.HasAuthoredValue():
+            return self._own(own, leaf)
+        above = self.inherited.at(leaf.prim.GetParent(), name)
+        if around is None:
+            return above[0] if above else None
+        if above is not None and above[1].HasPrefix(around.root):
+            return above[0]
+        return around.value(name) or (above[0] if above else None)
 
-    def plain_color(self, leaf: Leaf, finish: Finish) -> tuple[float, float, float]:
-        """The colour of a shape whose material reads one that does not vary over it."""
-        if finish.reads == DISPLAY:
-            return leaf.color or finish.fallback or GREY
-        primvar = UsdGeom.PrimvarsAPI(leaf.prim).FindPrimvarWithInheritance(finish.reads)
-        values = primvar.ComputeFlattened(self.time) if primvar and primvar.HasAuthoredValue() else None
-        first = np.asarray(
-            values[0] if values is not None and len(values) else finish.fallback or (0.0, 0.0, 0.0), dtype=np.float64
-        ).reshape(-1)
-        return (float(first[0]), float(first[1]), float(first[2])) if len(first) >= 3 else (float(first[0]),) * 3
+    def _own(self, primvar: UsdGeom.Primvar, leaf: Leaf) -> Given | None:
+        if primvar.GetInterpolation() == UsdGeom.Tokens.constant:
+            return constant(primvar, self.time)
+        values = flattened(primvar, self.time)
+        if values is None or isinstance(values, str):
+            return None if values is None else Given(values)
+        mean = tuple(values.mean(axis=0).tolist())
+        if leaf.kind in MESHES or leaf.kind in CURVES or leaf.kind == "Points":
+            return Given(mean, varies=True)
+        if (values != values[0]).any():
+            self.notes.warn(
+                leaf.path, f"primvar {primvar.GetPrimvarName()} varies over a {leaf.kind}, and is drawn as its mean"
+            )
+        return Given(mean)
 
-    def subsets(self, leaf: Leaf) -> list[tuple[np.ndarray, Finish]]:
+    def subsets(self, leaf: Leaf, around: Around | None = None) -> list[tuple[np.ndarray, Finish]]:
         """Faces with a material of their own: of family 'materialBind', or bound directly."""
         found = []
         for child in self._below.get(leaf.path, ()):
@@ -119,15 +144,7 @@ class Bindings:
             found.append(
                 (
                     np.asarray(indices, dtype=np.int64),
-                    self.finish_of(leaf, str(child.GetPath()), varying_color=varies(leaf)),
+                    self.finish_of(leaf, str(child.GetPath()), around),
                 )
             )
         return found
-
-
-def varies(leaf: Leaf) -> bool:
-    """Whether a mesh has a displayColor that is not one constant."""
-    if "primvars:displayColor" not in leaf.authored:
-        return False
-    primvar = UsdGeom.PrimvarsAPI(leaf.prim).GetPrimvar("displayColor")
-    return bool(primvar.HasAuthoredValue()) and primvar.GetInterpolation() != UsdGeom.Tokens.constant

@@ -13,10 +13,11 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from synfog_usd.arrays import Array, Indices
+from synfog_usd.translate import finite
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
-from synfog_usd.translate.primvars import array_at
+from synfog_usd.translate.primvars import array_at, columns_of, flattened
 from synfog_usd.translate.sweep import ribbons, tubes
 
 MOST_TRIANGLES = 4_000_000
@@ -35,14 +36,17 @@ _BASES = {
 }
 
 
-def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
+def read_curves(
+    prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics, color: str | None = "displayColor"
+) -> Triangles | None:
     """Curves as tubes whose mean width is theirs, or as flat ribbons where they have normals; None with a note.
 
     Args:
         prim: a BasisCurves, HermiteCurves or NurbsCurves.
         kind: which of these.
+        color: the primvar of their colours, or None for none.
 
-    Ends are open.  A colour that varies along a curve becomes its mean.
+    Ends are open.
     """
     path = prim.GetPath()
     points, counts = array_at(prim, "points", time, 3), array_at(prim, "curveVertexCounts", time, 1)
@@ -57,14 +61,14 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
             f"left out",
         )
         return None
-    widths = array_at(prim, "widths", time, 1)
+    api = UsdGeom.Curves(prim)
+    widths, spread_widths = _widths(prim, time, str(api.GetWidthsInterpolation()))
     if widths is None or not np.isfinite(widths).all() or not widths.max() > 0.0:
         notes.warn(path, "curves without widths are left out; author widths (diameters)")
         return None
     shape = _shape(prim, kind, time, points, sizes, notes)
     if shape is None:
         return None
-    api = UsdGeom.Curves(prim)
     facing, spread = array_at(prim, "primvars:normals", time, 3), api.GetNormalsInterpolation()
     if facing is None:
         facing = array_at(prim, "normals", time, 3)
@@ -89,22 +93,22 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
             f"are left out",
         )
         return None
-    width_of = Spread(widths, str(api.GetWidthsInterpolation()), shape)
+    width_of = Spread(widths, spread_widths, shape)
     if not width_of.fits:
-        notes.warn(
-            path,
-            f"widths are too few for their interpolation {api.GetWidthsInterpolation()!r}; the curves take the mean",
-        )
+        notes.warn(path, f"widths are too few for their interpolation {spread_widths!r}; the curves take the mean")
+    color_of = _curve_colors(prim, time, color, shape, notes) if color is not None else None
     facing_of = None if facing is None else Spread(facing, str(spread), shape)
     made: list[tuple[Array, Indices, Array]] = []
-    owners: list[Indices] = []
+    colors: list[Array] = []
     for chosen in shape.alike():
         line = shape.line(chosen, steps)
         radius = 0.5 * np.maximum(width_of.along(chosen, steps)[..., 0], 0.0)
         made.append(
             tubes(line, radius, sides) if facing_of is None else ribbons(line, radius, facing_of.along(chosen, steps))
         )
-        owners.append(np.repeat(chosen, len(made[-1][0]) // len(chosen)))
+        if color_of is not None:
+            along = np.broadcast_to(color_of.along(chosen, steps), line.shape)
+            colors.append(np.repeat(along.reshape(-1, 3), len(made[-1][0]) // (line.shape[0] * line.shape[1]), axis=0))
     if not made:
         notes.warn(path, "curves of too few points for one segment are left out")
         return None
@@ -113,8 +117,41 @@ def read_curves(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostic
         np.concatenate([positions for positions, _, _ in made]),
         np.concatenate([faces + offset for (_, faces, _), offset in zip(made, offsets, strict=True)]),
         np.concatenate([normals for _, _, normals in made]),
-        colors=_colors(prim, time, sizes, np.concatenate(owners)),
+        colors=np.concatenate(colors) if colors else None,
     )
+
+
+def _widths(prim: Usd.Prim, time: Usd.TimeCode, interpolation: str) -> tuple[Array | None, str]:
+    """(K, 1) widths and their interpolation: primvars:widths before widths, as UsdGeom has it."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
+    found = flattened(primvar, time)
+    if isinstance(found, np.ndarray) and found.shape[1] == 1:
+        return found, str(primvar.GetInterpolation())
+    return array_at(prim, "widths", time, 1), interpolation
+
+
+def _curve_colors(
+    prim: Usd.Prim, time: Usd.TimeCode, name: str, shape: Cubics | Hermite | Nurbs, notes: Diagnostics
+) -> Spread | None:
+    """A primvar of curves as colours at their samples; None where it has none."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    values = _colors(prim, time, name, notes)
+    if values is None:
+        return None
+    interpolation = str(primvar.GetInterpolation())
+    spread = Spread(values, "varying" if interpolation == "faceVarying" else interpolation, shape)
+    if not spread.fits:
+        notes.warn(prim.GetPath(), f"primvar {name} has too few values for {interpolation!r}; the curves take the mean")
+    return spread
+
+
+def _colors(prim: Usd.Prim, time: Usd.TimeCode, name: str, notes: Diagnostics) -> Array | None:
+    """(K, 3) colours of a primvar; None with a note where it holds none."""
+    values = flattened(UsdGeom.PrimvarsAPI(prim).GetPrimvar(name), time)
+    array = None if values is None or isinstance(values, str) else columns_of(values, 3, len(values))
+    if values is not None and array is None:
+        notes.warn(prim.GetPath(), f"primvar {name} holds no colours; it is not used")
+    return None if array is None else finite.of_array(array, "vertex_color", prim.GetPath(), notes)
 
 
 def _shape(
@@ -220,10 +257,12 @@ class Hermite:
         return _evenly(_of_curves(values, self.sizes, chosen), steps)
 
 
-def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
+def read_points(
+    prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, color: str | None = "displayColor"
+) -> Triangles | None:
     """Points as balls whose silhouette has the area of a sphere's, in the mean over directions; or None with a note."""
     path = prim.GetPath()
-    points, widths = array_at(prim, "points", time, 3), array_at(prim, "widths", time, 1)
+    points, (widths, _) = array_at(prim, "points", time, 3), _widths(prim, time, "vertex")
     if points is None or not len(points):
         notes.warn(path, "points without positions are left out")
         return None
@@ -250,8 +289,12 @@ def read_points(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Trian
     centers, radius = points[shown], radius[shown] * fit
     positions = centers[:, None] + radius[:, None, None] * normals
     index = faces + (np.arange(len(centers)) * len(normals))[:, None, None]
-    owner = np.repeat(np.flatnonzero(shown), len(normals))
-    colors = _colors(prim, time, np.ones(len(points), dtype=np.int64), owner)
+    colors = _colors(prim, time, color, notes) if color is not None else None
+    if colors is not None and len(colors) not in (1, len(points)):
+        notes.warn(path, f"primvar {color} has {len(colors)} values for {len(points)} points; it is not used")
+        colors = None
+    if colors is not None:
+        colors = np.repeat(np.broadcast_to(colors, points.shape)[shown], len(normals), axis=0)
     return Triangles(positions.reshape(-1, 3), index.reshape(-1, 3), np.tile(normals, (len(centers), 1)), colors=colors)
 
 
@@ -351,19 +394,3 @@ class Spread:
             return self.shape.sampled(self.values, chosen, steps)
         values = _of_curves(self.values, self.per_curve, chosen)
         return _evenly(np.concatenate([values, values[:, :1]], axis=1) if self.shape.closed else values, steps)
-
-
-def _colors(prim: Usd.Prim, time: Usd.TimeCode, sizes: Indices, owner: Indices) -> Array | None:
-    """(N, 3) displayColor of each vertex, by the curve or point it belongs to; None where there is one colour at
-    most.
-    """
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
-    values = primvar.ComputeFlattened(time) if primvar and primvar.HasAuthoredValue() else None
-    if values is None or primvar.GetInterpolation() == UsdGeom.Tokens.constant:
-        return None
-    array = np.asarray(values, dtype=np.float64).reshape(-1, 3)
-    if len(array) == len(sizes):
-        return array[owner]
-    if len(array) == sizes.sum() and (sizes > 0).all():
-        return (np.add.reduceat(array, np.cumsum(sizes) - sizes, axis=0) / sizes[:, None])[owner]
-    return np.tile(array.mean(axis=0), (len(owner), 1)) if len(array) else None

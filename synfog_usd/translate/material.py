@@ -7,9 +7,9 @@ which texture coordinates it reads.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
@@ -21,6 +21,7 @@ from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import tell_inputs
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
+from synfog_usd.translate.primvars import Given
 from synfog_usd.translate.shading import (
     GREY,
     MATERIALX,
@@ -73,6 +74,7 @@ class Finish:
         fallback: what it is for shapes without that primvar, where the material says so.
         unsaid: whether its textures are black beyond their square because no wrap mode is authored.
         empty: whether the material has no output at all, as Blender writes volumes.
+        unknown: whether its surface is not known, so that its shapes are drawn as if they had none.
     """
 
     key: str
@@ -85,6 +87,26 @@ class Finish:
     fallback: tuple[float, float, float] | None = None
     unsaid: bool = False
     empty: bool = False
+    unknown: bool = False
+
+
+Look: TypeAlias = Callable[[str], Given | None]
+"""From the name of a primvar to what it gives to a shape."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A primvar that a material reads.
+
+    Attributes:
+        name: of the primvar.
+        input: what it goes to.
+        colour: whether it has to be a colour, or else a number.
+    """
+
+    name: str
+    input: str
+    colour: bool
 
 
 class Materials:
@@ -99,24 +121,54 @@ class Materials:
         self.time, self.notes, self.images = time, notes, images
         self.bsdfs: dict[str, dict[str, Any]] = {}
         self.reflectance_of: dict[str, Array] = {}
-        self._by_path: dict[str, Finish] = {}
+        self._asked: dict[Any, dict[Asked, None]] = {}
+        self._by_path: dict[tuple[str, tuple[Given | None, ...]], Finish] = {}
         self._by_said: dict[tuple[Any, ...], Finish] = {}
+        self._known_said: dict[str, tuple[Any, ...] | None] = {}
         self._by_word: dict[str, str] = {}
         self._by_color: dict[tuple[Any, ...], str] = {}
 
-    def finish(self, material: UsdShade.Material) -> Finish:
-        """The finish of a USD material."""
+    def finish(self, material: UsdShade.Material, look: Look = lambda _: None, shape: str = "") -> Finish:
+        """The finish of a USD material on a shape.
+
+        Args:
+            look: at the shape's primvars.
+            shape: its path, for notes.
+        """
         path = str(material.GetPath())
-        if path not in self._by_path:
-            said, told = self._said(material.GetPrim()), self.notes.told
-            made = self._by_said.get(said) if said is not None else None
+        if path not in self._known_said:
+            self._known_said[path] = self._said(material.GetPrim())
+        said = self._known_said[path]
+        asked = self._asked.setdefault(path if said is None else said, {})
+        given = tuple(look(one.name) for one in asked)
+        if (path, given) not in self._by_path:
+            told = self.notes.told
+            made = self._by_said.get((said, given)) if said is not None else None
             if made is None:
                 tell_inputs(material.GetPrim(), self.time, self.notes)
-                made = self._measured(material, self._made(material))
+                made = self._measured(material, self._made(material, look, asked))
+                given = tuple(look(one.name) for one in asked)
                 if said is not None and self.notes.told == told:  # notes name the material
-                    self._by_said[said] = made
-            self._by_path[path] = made
-        return self._by_path[path]
+                    self._by_said[said, given] = made
+            self._by_path[path, given] = made
+        self._tell(asked, given, shape)
+        return self._by_path[path, given]
+
+    def _tell(self, asked: Mapping[Asked, None], given: tuple[Given | None, ...], shape: str) -> None:
+        """What a shape's primvars cannot give to its material."""
+        for one, value in zip(asked, given, strict=True):
+            if value is None:
+                continue
+            fits = (value.colour if one.colour else value.number) is not None
+            if not fits:
+                kind = "colour" if one.colour else "number"
+                self.notes.warn(
+                    shape, f"primvar {one.name} {value.what}, and is no {kind}; {one.input} takes the reader's fallback"
+                )
+            elif value.varies and one.input != "diffuseColor":
+                self.notes.warn(
+                    shape, f"primvar {one.name!r} varies over it; {one.input}, which reads that, is drawn as its mean"
+                )
 
     def _said(self, material: Usd.Prim) -> tuple[Any, ...] | None:
         """All that stands on a material and below it, by which instances of a model are known to wear the same; None
@@ -223,7 +275,7 @@ class Materials:
             return {name: self._told(value) for name, value in part.items()}
         return self.images.once(_content, part) if isinstance(part, np.ndarray) else part
 
-    def _made(self, material: UsdShade.Material) -> Finish:
+    def _made(self, material: UsdShade.Material, look: Look, asked: dict[Asked, None]) -> Finish:
         path = material.GetPath()
         own = material.ComputeSurfaceSource("mitsuba")[0]
         if own and shader_id(own.GetPrim()).startswith("mitsuba_"):
@@ -237,20 +289,18 @@ class Materials:
                 )
             except RefusedError as error:
                 self.notes.warn(path, f"outputs:mitsuba:surface is not drawn: {error}")
-        sources = [material.ComputeSurfaceSource(context)[0] for context in ("", "mtlx", "mdl")]
+        sources = [material.ComputeSurfaceSource(context)[0] for context in _CONTEXTS]
         shader = next((source for source in sources if source), None)
         if not shader:
-            outputs = [o for o in material.GetOutputs() if o.HasConnectedSource()]
-            if outputs and not all(o.GetBaseName() == "volume" for o in outputs):
+            empty = is_empty(material)
+            if not empty:
                 self.notes.warn(
                     path, "material's outputs lead to no shader that is known; its shapes take displayColor or grey"
                 )
-            return Finish(
-                self.colored(GREY).key, empty=not outputs or all(o.GetBaseName() == "volume" for o in outputs)
-            )
+            return Finish(self.colored(GREY).key, empty=empty, unknown=not empty)
         kind = shader_id(shader.GetPrim())
         if kind == "UsdPreviewSurface" or kind.startswith("ND_UsdPreviewSurface"):
-            return self._surface(shader, PREVIEW, path)
+            return self._surface(shader, PREVIEW, path, look, asked)
         for beginning, names in MATERIALX.items():
             if kind.startswith(beginning):
                 self.notes.info(
@@ -258,7 +308,7 @@ class Materials:
                     f"{kind} is drawn by its base, roughness, metalness, specular, transmission, subsurface, coat, "
                     f"emission, opacity and normal map",
                 )
-                return self._surface(shader, names, path)
+                return self._surface(shader, names, path, look, asked)
         mdl = shader.GetPrim().GetAttribute("info:mdl:sourceAsset:subIdentifier")
         if mdl and str(mdl.Get()).startswith("OmniPBR"):
             self.notes.info(
@@ -271,17 +321,19 @@ class Materials:
                     self.notes.warn(path, "clearcoat_normalmap_texture is not drawn")
                 if value_of(shader, "clearcoat_transparency", self.time, 1.0) != 1.0:
                     self.notes.warn(path, "clearcoat_transparency is drawn as 1")
-            return self._surface(shader, OMNI_PBR, path)
+            return self._surface(shader, OMNI_PBR, path, look, asked)
         if mdl and str(mdl.Get()).startswith("OmniGlass"):
             return self._glass(shader, path)
         if mdl and str(mdl.Get()) in OMNI_SURFACES:
-            return self._omni_surface(shader, path)
+            return self._omni_surface(shader, path, look, asked)
         self.notes.warn(
-            path, f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; the material is grey"
+            path,
+            f"shader {kind or (mdl and mdl.Get()) or 'of an unknown type'} is not known; its shapes take "
+            f"displayColor or grey",
         )
-        return self.colored(GREY)
+        return replace(self.colored(GREY), unknown=True)
 
-    def _omni_surface(self, shader: UsdShade.Shader, path: object) -> Finish:
+    def _omni_surface(self, shader: UsdShade.Shader, path: object, look: Look, asked: dict[Asked, None]) -> Finish:
         """An OmniSurface shader by its constants."""
         self.notes.info(
             path,
@@ -294,7 +346,7 @@ class Materials:
         preset = "specular_reflection_ior_preset"
         if str(value_of(shader, preset, self.time, "ior_custom")) not in ("ior_custom", "99"):
             self.notes.warn(path, f"{preset} is not drawn; its specular_reflection_ior is")
-        return self._surface(shader, OMNI_SURFACE, path)
+        return self._surface(shader, OMNI_SURFACE, path, look, asked)
 
     def _glass(self, shader: UsdShade.Shader, path: object) -> Finish:
         """The glass of an OmniGlass shader: its index, colour, frosting and cutout."""
@@ -313,8 +365,10 @@ class Materials:
         self.notes.info(path, f"OmniGlass is drawn as {'a thin pane' if thin else 'a solid that refracts'}")
         return Finish(self._add(made))
 
-    def _surface(self, shader: UsdShade.Shader, names: InputNames, path: object) -> Finish:
-        inputs = _ShaderInputs(self, shader, names)
+    def _surface(
+        self, shader: UsdShade.Shader, names: InputNames, path: object, look: Look, asked: dict[Asked, None]
+    ) -> Finish:
+        inputs = _ShaderInputs(self, shader, names, look, asked)
         color = inputs.color("diffuseColor", names.color)
         roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", names.metallic)
         ior = inputs.constant("ior", 1.5)
@@ -452,17 +506,60 @@ class Materials:
         return {"type": "normalmap", "normalmap": inputs.bitmap(values, node, raw=True), "bsdf": bsdf}
 
 
+_CONTEXTS = ("", "mtlx", "mdl")
+"""Renderers whose outputs are followed."""
+
+
+def is_empty(material: UsdShade.Material) -> bool:
+    """Whether a material has no surface at all, known or not."""
+    outputs = [output for output in material.GetOutputs() if output.HasConnectedSource()]
+    return all(output.GetBaseName() == "volume" for output in outputs) and not any(
+        material.ComputeSurfaceSource(context)[0] for context in ("mitsuba", *_CONTEXTS)
+    )
+
+
 READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
 """How the shaders begin that give a primvar of the shape."""
 
 _VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
 
 
+@dataclass(frozen=True)
+class Read:
+    """What a reader of a primvar gives.
+
+    Attributes:
+        name: of the primvar.
+        given: by the shape, or else the reader's fallback; None where there is neither.
+        fallback: of the reader.
+    """
+
+    name: str
+    given: Given | None
+    fallback: Given | None
+
+    @property
+    def colour(self) -> tuple[float, float, float] | None:
+        """The colour that is given; None where none is."""
+        return self.given.colour if self.given is not None else None
+
+
+def _given(value: Any) -> Given | None:
+    """A reader's fallback; None where it has none, or one that is no number."""
+    try:
+        numbers = np.asarray(value, dtype=np.float64).reshape(-1)
+    except (ValueError, TypeError):
+        return None
+    return Given(tuple(numbers.tolist())) if value is not None and len(numbers) else None
+
+
 class _ShaderInputs:
     """The inputs of one surface shader, and the one set of texture coordinates that they read."""
 
-    def __init__(self, materials: Materials, shader: UsdShade.Shader, names: InputNames) -> None:
-        self.materials, self.shader, self.names = materials, shader, names
+    def __init__(
+        self, materials: Materials, shader: UsdShade.Shader, names: InputNames, look: Look, asked: dict[Asked, None]
+    ) -> None:
+        self.materials, self.shader, self.names, self.look, self.asked = materials, shader, names, look, asked
         self.time, self.notes, self.images = materials.time, materials.notes, materials.images
         self.uv: UvSource | None = None
         self.vertex_color = False
@@ -477,6 +574,21 @@ class _ShaderInputs:
 
     def producer(self, name: str) -> Usd.Attribute | None:
         return producer(self.shader, self.names[name]) if self.has(name) else None
+
+    def read(self, name: str, *, colour: bool) -> Read | None:
+        """What a reader of a primvar gives to an input that it feeds; None where none does."""
+        output = None if self.names.omni else self.producer(name)
+        if output is None or not (kind := shader_id(output.GetPrim())).startswith(READERS):
+            return None
+        reader = UsdShade.Shader(output.GetPrim())
+        is_materialx = kind.startswith("ND_geom")
+        varname = str(value_of(reader, "geomprop" if is_materialx else "varname", self.time, ""))
+        primvar = varname.removeprefix("primvars:") or DISPLAY
+        fallback = _given(value_of(reader, "default" if is_materialx else "fallback", self.time))
+        self.asked[Asked(primvar, name, colour)] = None
+        found = self.look(primvar)
+        fits = found is not None and (found.colour if colour else found.number) is not None
+        return Read(primvar, found if fits else fallback, fallback)
 
     def weight(self, name: str) -> float:
         """What an input is multiplied by."""
@@ -497,12 +609,18 @@ class _ShaderInputs:
     def constant(self, name: str, default: Any) -> Any:
         if not self.has(name):
             return default
+        if (read := self.read(name, colour=False)) is not None:
+            number = read.given.number if read.given is not None else None
+            return default if number is None else number
         if producer(self.shader, self.names[name]) is not None:
             self.notes.warn(self.shader.GetPath(), f"a texture on {name} is not drawn; {default} is used")
             return default
         return value_of(self.shader, self.names[name], self.time, default)
 
     def constant_color(self, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        weight = self.weight(name)
+        if (read := self.read(name, colour=True)) is not None:
+            return tuple(c * weight for c in read.colour or (0.0, 0.0, 0.0))
         node = self.texture(name)
         if node is not None:
             value = sampled(node, self.images, channels=3)
@@ -512,7 +630,6 @@ class _ShaderInputs:
                 else tuple(float(c) for c in linear(value, srgb=value.dtype == np.uint8).mean(axis=(0, 1)))
             )
         value = value_of(self.shader, self.names[name], self.time, default) if self.has(name) else default
-        weight = self.weight(name)
         tint = value_of(self.shader, self.names.tints.get(name, ""), self.time, (1.0, 1.0, 1.0))
         return tuple(float(c) * float(t) * weight for c, t in zip(value, tint, strict=True))
 
@@ -520,7 +637,7 @@ class _ShaderInputs:
         if self.names.omni:
             return omni_texture(self.shader, name, self.time, self.notes, self.images)
         output = self.producer(name)
-        if output is None:
+        if output is None or (name != "normal" and shader_id(output.GetPrim()).startswith(READERS)):
             return None
         node = fed_by(output, name, self.time, self.notes, self.shader.GetPath(), self.images)
         weight = self.weight(name) if node is not None else 1.0
@@ -565,11 +682,13 @@ class _ShaderInputs:
 
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
-        kind = shader_id(output.GetPrim()) if output is not None else ""
-        if output is not None and kind.startswith(READERS) and name == "diffuseColor":
-            self.reads, self.fallback = self.primvar(output, kind)
-            self.vertex_color = True
-            return dict(_VERTEX_COLOR)
+        if (read := self.read(name, colour=True)) is not None:
+            if read.given is not None and read.given.varies and name == "diffuseColor":
+                self.reads, self.fallback = read.name, read.fallback.colour if read.fallback is not None else None
+                self.vertex_color = True
+                return dict(_VERTEX_COLOR)
+            unknown = GREY if read.name == DISPLAY else (0.0, 0.0, 0.0)
+            return _rgb([min(max(c, 0.0), 1.0) for c in read.colour or unknown])
         node = self.texture(name)
         if node is None:
             return (
@@ -582,28 +701,11 @@ class _ShaderInputs:
             return _rgb([min(max(c, 0.0), 1.0) for c in value])
         return self.bitmap(self.images.once(_limited, value), node, raw=False)
 
-    def primvar(self, output: Usd.Attribute, kind: str) -> tuple[str, tuple[float, float, float] | None]:
-        """The primvar that a reader names, and what it gives where there is none."""
-        reader = UsdShade.Shader(output.GetPrim())
-        is_materialx = kind.startswith("ND_geom")
-        fallback = value_of(reader, "default" if is_materialx else "fallback", self.time)
-        values = None if fallback is None else np.asarray(fallback, dtype=np.float64).reshape(-1)
-        name = str(value_of(reader, "geomprop" if is_materialx else "varname", self.time, ""))
-        return name or DISPLAY, None if values is None else (
-            float(values[0]),
-            float(values[min(1, len(values) - 1)]),
-            float(values[min(2, len(values) - 1)]),
-        )
-
     def number(self, name: str, default: float) -> Any:
-        output = self.producer(name)
-        if output is not None and (kind := shader_id(output.GetPrim())).startswith(READERS):
-            source, fallback = self.primvar(output, kind)
-            self.notes.warn(
-                self.shader.GetPath(),
-                f"{name} that varies with primvar {source!r} is not drawn; the reader's fallback is used",
-            )
-            return min(max(fallback[0] if fallback is not None else 0.0, 0.0), 1.0)
+        if (read := self.read(name, colour=False)) is not None:
+            number = read.given.number if read.given is not None else None
+            given = min(max(0.0 if number is None else number, 0.0), 1.0)
+            return 1.0 - given if name in self.names.inverted else given
         node = self.texture(name)
         if node is None:
             value = None

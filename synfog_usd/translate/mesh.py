@@ -109,7 +109,7 @@ def look_at_quads(meshes: Iterable[Arrays]) -> None:
             mesh.easy = bool(verdict)
 
 
-_CARRIED = frozenset({"normals", "primvars:normals", "primvars:displayColor"})
+_CARRIED = frozenset({"normals", "primvars:normals"})
 
 
 def read_mesh(
@@ -118,14 +118,14 @@ def read_mesh(
     notes: Diagnostics,
     uv: UvSource | None = None,
     *,
-    color: str = "displayColor",
+    color: str | None = "displayColor",
     arrays: Arrays | None = None,
 ) -> Polygons | None:
     """A mesh prim, or None with a note where it cannot be drawn.
 
     Args:
         uv: the primvar that the material's textures read, or None for none.
-        color: the primvar of its colours.
+        color: the primvar of its colours, or None for none.
         arrays: of this prim at this time, where they are at hand.
     """
     if arrays is None:
@@ -154,7 +154,7 @@ def read_mesh(
         or (uv is not None and f"primvars:{uv.primvar}" in authored)
     ):
         reader = PrimvarReader(prim, time, notes, indices, np.repeat(np.arange(len(counts)), counts), len(points))
-        normals, colors = reader.normals(), reader.primvar(color, 3)
+        normals, colors = reader.normals(), reader.primvar(color, 3) if color is not None else None
         st = reader.primvar(uv.primvar, 2) if uv is not None else None
         if normals is not None:
             attributes["normals"] = normals
@@ -162,7 +162,7 @@ def read_mesh(
             matrix = np.array(uv.matrix)
             own = finite.of_array(st.values, "texcoords", prim.GetPath(), notes)
             attributes["st"] = replace(st, values=own @ matrix[:, :2].T + matrix[:, 2])
-        if colors is not None and len(colors.values) > 1:
+        if colors is not None:
             own = finite.of_array(colors.values, "vertex_color", prim.GetPath(), notes)
             attributes["color"] = replace(colors, values=own)
     is_mesh = prim.GetTypeName() == "Mesh"

@@ -5,6 +5,7 @@ Takes a mesh prim; gives normals, texture coordinates and colours as `Attribute`
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -72,20 +73,14 @@ class PrimvarReader:
         if not self.prim.HasAttribute(f"primvars:{name}"):
             return None
         primvar = self.api.GetPrimvar(name)
-        if not primvar.HasAuthoredValue():
+        values = elements(primvar, self.time)
+        if values is None:
             return None
-        values = value_at(primvar.GetAttr(), self.time)
-        if values is None or not len(values):
-            return None
-        indices = primvar.GetIndices(self.time) if primvar.IsIndexed() else None
+        indices = value_at(primvar.GetIndicesAttr(), self.time) if primvar.IsIndexed() else None
         return self.spread(name, values, primvar.GetInterpolation(), indices, width)
 
     def spread(self, name: str, values: Any, interpolation: str, indices: Any, width: int) -> Attribute | None:
         """Values by corner or by point, as their interpolation says."""
-        array = _columns(values, width)
-        if array is None:
-            self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
-            return None
         interpolation = self.notes.token(
             self.prim.GetPath(), f"interpolation of primvar {name}", interpolation, _INTERPOLATIONS, "constant"
         )
@@ -108,6 +103,10 @@ class PrimvarReader:
             corner, wanted = self.corner_face, int(self.corner_face[-1]) + 1
         else:
             corner, wanted = np.zeros(len(self.indices), dtype=np.int64), 1
+        array = None if isinstance(values, str) else columns_of(values, width, wanted)
+        if array is None:
+            self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
+            return None
         if indices is not None:
             numbers = np.asarray(indices, dtype=np.int64)
             fits = len(numbers) >= wanted and (not len(numbers) or (numbers.min() >= 0 and numbers.max() < len(array)))
@@ -123,19 +122,113 @@ class PrimvarReader:
         return Attribute(array[:wanted] if corner is None else array, corner, interpolation == UsdGeom.Tokens.varying)
 
 
-def _columns(values: Any, width: int) -> Array | None:
-    """(K, width) of an array of tuples that are at least as wide, or of plain numbers in groups of `width`; else
-    None.
+def elements(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Array | str | None:
+    """(K, C) of a primvar's K elements without its indices; a scalar is one, and an element size counts.
+
+    Returns:
+        the name of its type where that holds no numbers, or no colours and vectors (quaternions); None where it has no
+        value.
+    """
+    value = value_at(primvar.GetAttr(), time) if primvar.HasAuthoredValue() else None
+    if value is None:
+        return None
+    kind = type(value).__name__  # an attribute claims its schema's type, whatever stands there
+    if kind.startswith("Quat"):
+        return kind.lower()
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (ValueError, TypeError):
+        return kind.lower()
+    if not array.size:
+        return None
+    if not kind.endswith("Array"):
+        return array.reshape(1, -1)
+    array, size = array.reshape(len(array), -1), primvar.GetElementSize()
+    return array.reshape(-1, size * array.shape[1]) if size > 1 and len(array) % size == 0 else array
+
+
+def flattened(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Array | str | None:
+    """`elements` at their indices; 'indices outside of its values' where some are."""
+    values = elements(primvar, time)
+    if values is None or isinstance(values, str) or not primvar.IsIndexed():
+        return values
+    given = value_at(primvar.GetIndicesAttr(), time)
+    indices = np.asarray([] if given is None else given, dtype=np.int64)
+    if not len(indices):
+        return values
+    if not 0 <= indices.min() <= indices.max() < len(values):
+        return "indices outside of its values"
+    return values[indices]
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a primvar gives to a shape.
+
+    Attributes:
+        value: its numbers, in the mean where it varies; or the name of its type where that holds no numbers.
+        varies: whether it goes with the points, corners or faces of the shape.
+    """
+
+    value: tuple[float, ...] | str
+    varies: bool = False
+
+    @property
+    def fault(self) -> str:
+        """Why it is neither number nor colour, '' where it is."""
+        if isinstance(self.value, str):
+            return f"holds {self.value}"
+        return "" if np.isfinite(self.value).all() else "holds no finite numbers"
+
+    @property
+    def what(self) -> str:
+        """What it holds, in a note."""
+        return self.fault or f"has {len(self.value)} numbers each"
+
+    @property
+    def number(self) -> float | None:
+        """The number that it is; None where it is none."""
+        return float(self.value[0]) if not self.fault and len(self.value) == 1 else None  # type: ignore[arg-type]
+
+    @property
+    def colour(self) -> tuple[float, float, float] | None:
+        """The colour that it is, grey of a number; None where it is none."""
+        if self.fault or len(self.value) not in (1, 3, 4):
+            return None
+        r, g, b = (self.value * 3)[:3] if len(self.value) == 1 else self.value[:3]
+        return float(r), float(g), float(b)
+
+
+def constant(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Given | None:
+    """What a constant primvar gives, None where it has no value."""
+    values = flattened(primvar, time)
+    if values is None or isinstance(values, str):
+        return None if values is None else Given(values)
+    if values.shape == (3, 1):  # plain numbers in the place of a colour
+        values = values.reshape(1, 3)
+    return Given(tuple(values[0].tolist()))
+
+
+def columns_of(values: Any, width: int, wanted: int) -> Array | None:
+    """(K, width) of elements that are at least as wide, or of plain numbers: `wanted` greys of a colour, or groups of
+    `width`; else None.
     """
     try:
         array = np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError):
         return None
-    if array.ndim == 2 and array.shape[1] >= width:
+    array = array.reshape(len(array), -1)
+    if width <= array.shape[1] <= _WIDEST:
         return array[:, :width]
-    if array.ndim == 1 and array.size % width == 0:
+    if array.shape[1] != 1:
+        return None
+    if len(array) % width == 0 and (width != 3 or len(array) == wanted * width):
         return array.reshape(-1, width)
-    return None
+    return np.repeat(array, 3, axis=1) if width == 3 else None
+
+
+_WIDEST = 4
+"""Numbers of the widest vector; what has more is a matrix."""
 
 
 def value_at(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:

@@ -5,9 +5,10 @@ Takes a leaf and its place; gives its shapes and what they emit.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Concatenate, ParamSpec, TypeAlias
 
@@ -17,15 +18,18 @@ from pxr import Usd
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
 from synfog_usd.translate import curves, drawmode, finite, geometry, light
-from synfog_usd.translate.bindings import Bindings, varies
+from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.convention import Chooser
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.implicit import read_implicit
+from synfog_usd.translate.instanced import Around
 from synfog_usd.translate.material import DISPLAY, Finish, Materials
 from synfog_usd.translate.mesh import Arrays, look_at_quads, read_arrays, read_mesh
 from synfog_usd.translate.nurbs import read_patch
+from synfog_usd.translate.shading import GREY
 from synfog_usd.translate.space import FAR_POINT, is_similarity
+from synfog_usd.translate.texture import UvSource
 from synfog_usd.translate.walk import CURVES, MESHES, Leaf
 
 P = ParamSpec("P")
@@ -34,6 +38,12 @@ Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 
 Meshes: TypeAlias = dict[tuple[Any, ...], dict[str, Any]]
 """What stands on meshes, and how they are placed and painted -> their shapes."""
+
+MOST_BALLS = 256
+"""Instances of one prototype up to which its spheres are drawn one by one, and not as meshes.
+
+Mitsuba's sphere asks for a ray of unit length, which no ray is in the coordinates of an instance that is scaled.
+"""
 
 _SYNC = ("materialGlowTintsLight", "independent", "noMaterialResponse")
 
@@ -80,6 +90,23 @@ class Shapes:
         self.metres_per_unit, self.meshes = metres_per_unit, meshes
         self.ahead: dict[str, Arrays] = {}
         self.sound: dict[str, bool] = {}
+        self._kept: dict[tuple[Any, ...], Any] | None = None
+
+    @contextlib.contextmanager
+    def one_mesh(self) -> Iterator[None]:
+        """Meanwhile one leaf in one place is drawn again and again, which is read once."""
+        self._kept = {}
+        try:
+            yield
+        finally:
+            self._kept = None
+
+    def _once(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        if self._kept is None:
+            return make()
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
 
     def look_ahead(self, leaves: Iterable[Leaf]) -> None:
         """Read the meshes that are wanted next; those of one topology are looked at together."""
@@ -98,8 +125,15 @@ class Shapes:
             self.notes.warn(path, "its colour or material has a number that is not finite; 0.5 is taken")
 
     @_finite
-    def parts(self, leaf: Leaf, matrix: Array) -> list[Part]:
-        """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn."""
+    @_finite
+    def parts(self, leaf: Leaf, matrix: Array, around: Around | None = None, *, in_group: bool = False) -> list[Part]:
+        """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn.
+
+        Args:
+            matrix: (4, 4) to where they stand.
+            around: what the instances give that the leaf is in.
+            in_group: whether the shapes are to be placed by instances.
+        """
         if geometry.determinant(matrix) == 0.0:
             self.notes.warn(leaf.path, "a shape scaled to nothing is left out")
             return []
@@ -107,8 +141,8 @@ class Shapes:
         if kind in drawmode.MODES:
             return self._stand_in(leaf, kind, matrix)
         if kind not in MESHES:
-            return self._implicit(leaf, kind, matrix)
-        return self._mesh(leaf, matrix)
+            return self._implicit(leaf, kind, matrix, around, in_group=in_group)
+        return self._mesh(leaf, matrix, around)
 
     def _stand_in(self, leaf: Leaf, mode: str, matrix: Array) -> list[Part]:
         self.notes.info(leaf.path, f"draw mode {mode!r} stands for the model")
@@ -123,8 +157,8 @@ class Shapes:
             made.append((geometry.mesh_shape(triangles, finish.key, textured=textured, colored=False), None, 0.0))
         return made
 
-    def _implicit(self, leaf: Leaf, kind: str, matrix: Array) -> list[Part]:
-        finish = self.bindings.finish_of(leaf, leaf.path, varying_color=False)
+    def _implicit(self, leaf: Leaf, kind: str, matrix: Array, around: Around | None, *, in_group: bool) -> list[Part]:
+        finish = self.bindings.finish_of(leaf, leaf.path, around)
         textured = kind == "NurbsPatch" and finish.uv is not None
         key = finish.key if textured else finish.plain or finish.key
         if finish.plain is not None and not textured:
@@ -134,7 +168,7 @@ class Shapes:
             if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap"
             else finish.emission
         )
-        if kind == "Sphere" and not finish.colored and is_similarity(matrix):
+        if kind == "Sphere" and not in_group and is_similarity(matrix):
             scale = abs(geometry.determinant(matrix)) ** (1.0 / 3.0)
             radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * scale
             if not 0.0 < radius <= FAR_POINT:
@@ -150,12 +184,9 @@ class Shapes:
                 return [self._mesh_light(leaf, shape, 4.0 * math.pi * radius**2)]
             return [(shape, emission, finish.emission_nits)]
         if kind in CURVES or kind in ("Points", "NurbsPatch"):
-            own = self._swept(leaf, kind)
+            own = self._swept(leaf, kind, finish.reads if finish.colored else None)
             if own is None:
                 return []
-            if own.colors is not None and self.bindings.is_bare(leaf):
-                finish = self.materials.vertex_colored()
-                key = finish.key
         else:
             with np.errstate(invalid="ignore", over="ignore"):  # of sizes that are none, which is told below
                 own = read_implicit(leaf.prim, kind, self.time, self.notes)
@@ -172,24 +203,23 @@ class Shapes:
             self.notes.warn(leaf.path, f"a {kind} without surface is left out")
             return []
         if finish.colored and made.colors is None:
-            made = replace(made, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(made.positions), 1)))
+            made = replace(made, colors=_plain(finish, len(made.positions)))
         shape = geometry.mesh_shape(made, key, textured=textured, colored=finish.colored)
         if "MeshLightAPI" in leaf.schemas:
             return [self._mesh_light(leaf, shape, geometry.area(made))]
         return [(shape, emission, finish.emission_nits)]
 
-    def _swept(self, leaf: Leaf, kind: str) -> Triangles | None:
+    def _swept(self, leaf: Leaf, kind: str, color: str | None) -> Triangles | None:
         if kind == "Points":
-            return curves.read_points(leaf.prim, self.time, self.notes)
+            return curves.read_points(leaf.prim, self.time, self.notes, color)
         if kind == "NurbsPatch":
             return read_patch(leaf.prim, self.time, self.notes)
-        return curves.read_curves(leaf.prim, kind, self.time, self.notes)
+        return curves.read_curves(leaf.prim, kind, self.time, self.notes, color)
 
-    def _mesh(self, leaf: Leaf, matrix: Array) -> list[Part]:
+    def _mesh(self, leaf: Leaf, matrix: Array, around: Around | None) -> list[Part]:
         prim = leaf.prim
-        subsets = self.bindings.subsets(leaf)
-        by_point = varies(leaf)
-        own = self.bindings.finish_of(leaf, leaf.path, varying_color=by_point)
+        subsets = self.bindings.subsets(leaf, around)
+        own = self.bindings.finish_of(leaf, leaf.path, around)
         finishes = [own, *[finish for _, finish in subsets]]
         uv = next((finish.uv for finish in finishes if finish.uv is not None), None)
         if any(finish.uv not in (None, uv) for finish in finishes):
@@ -197,38 +227,24 @@ class Shapes:
                 prim.GetPath(),
                 "materials on this mesh read different texture coordinates; the first one's are used for all",
             )
-        reads = {finish.reads: None for finish in finishes if finish.colored} or {DISPLAY: None}
+        reads = {finish.reads: None for finish in finishes if finish.colored}
         if len(reads) > 1:
             self.notes.warn(
                 prim.GetPath(),
                 f"materials on this mesh read the colours {', '.join(reads)}; the first one's are used for all",
             )
-        color = next(iter(reads))
+        color = next(iter(reads), None)
         said, told = self._said(leaf, matrix, own, color) if not subsets else None, self.notes.told
         if self.meshes is not None and said in self.meshes:
             shape = {**self.meshes[said], "bsdf": {"type": "ref", "id": own.key}}
             return [(shape, own.emission, own.emission_nits)]
-        polygons = read_mesh(prim, self.time, self.notes, uv, color=color, arrays=self.ahead.get(leaf.path))
-        if polygons is None:
-            return []
-        if color == DISPLAY and not by_point:
-            polygons.attributes.pop("color", None)
-        smooth = geometry.point_normals(polygons) if polygons.smooth else None
-        taken = np.zeros(int(polygons.face_of.max()) + 1 if subsets else 0, dtype=bool)
-        chosen: list[tuple[np.ndarray | None, Finish]] = []
-        for faces, finish in subsets:
-            mask: np.ndarray = np.zeros_like(taken)
-            mask[faces[(faces >= 0) & (faces < len(taken))]] = True
-            mask &= ~taken
-            taken |= mask
-            chosen.append((mask, finish))
-        chosen.append((None if not subsets else ~taken, own))
+        pieces = self._once(
+            ("pieces", uv, color), lambda: self._pieces(leaf, matrix, [f for f, _ in subsets], uv, color)
+        )
         result = []
-        for wearers, finish in chosen:
-            triangles = geometry.part(polygons, wearers, smooth_normals=smooth)
+        for number, (triangles, finish) in enumerate(zip(pieces, (*finishes[1:], own), strict=bool(pieces))):
             if triangles is None:
                 continue
-            triangles = geometry.placed(triangles, matrix)
             textured = finish.uv is not None and triangles.texcoords is not None
             key = finish.key
             if (
@@ -252,10 +268,12 @@ class Shapes:
                 if emission is not None and emission["type"] == "bitmap":
                     emission = None
             if finish.colored and triangles.colors is None:
-                triangles = replace(
-                    triangles, colors=np.tile(self.bindings.plain_color(leaf, finish), (len(triangles.positions), 1))
-                )
-            shape = geometry.mesh_shape(triangles, key, textured=textured, colored=finish.colored)
+                triangles = replace(triangles, colors=_plain(finish, len(triangles.positions)))
+            shape = self._once(
+                (number, uv, color, textured, finish.colored, finish.fallback),
+                functools.partial(geometry.mesh_shape, triangles, key, textured=textured, colored=finish.colored),
+            )
+            shape = {**shape, "bsdf": {"type": "ref", "id": key}}
             if "MeshLightAPI" in leaf.schemas:
                 shape, emission, nits = self._mesh_light(leaf, shape, geometry.area(triangles))
             result.append((shape, emission, nits))
@@ -263,7 +281,29 @@ class Shapes:
             self.meshes[said] = result[0][0]
         return result
 
-    def _said(self, leaf: Leaf, matrix: Array, finish: Finish, color: str) -> tuple[Any, ...] | None:
+    def _pieces(
+        self, leaf: Leaf, matrix: Array, subsets: list[np.ndarray], uv: UvSource | None, color: str | None
+    ) -> list[Triangles | None]:
+        """The triangles of each subset's faces and of the rest; empty where the mesh cannot be drawn."""
+        polygons = read_mesh(leaf.prim, self.time, self.notes, uv, color=color, arrays=self.ahead.get(leaf.path))
+        if polygons is None:
+            return []
+        smooth = geometry.point_normals(polygons) if polygons.smooth else None
+        taken = np.zeros(int(polygons.face_of.max()) + 1 if subsets else 0, dtype=bool)
+        chosen: list[np.ndarray | None] = []
+        for faces in subsets:
+            mask: np.ndarray = np.zeros_like(taken)
+            mask[faces[(faces >= 0) & (faces < len(taken))]] = True
+            mask &= ~taken
+            taken |= mask
+            chosen.append(mask)
+        parts = (
+            geometry.part(polygons, wearers, smooth_normals=smooth)
+            for wearers in (*chosen, ~taken if subsets else None)
+        )
+        return [None if triangles is None else geometry.placed(triangles, matrix) for triangles in parts]
+
+    def _said(self, leaf: Leaf, matrix: Array, finish: Finish, color: str | None) -> tuple[Any, ...] | None:
         """All that a mesh is made of: the specs of its prim, as a model's instances share them, its place and its
         finish; None where that is not all.
         """
@@ -287,3 +327,9 @@ class Shapes:
         if not radiance.max() > 0.0:
             return shape, None, 0.0
         return shape, {"type": "rgb", "value": [float(c) for c in radiance]}, float(LUMINANCE @ radiance)
+
+
+def _plain(finish: Finish, count: int) -> Array:
+    """(count, 3) colours of a shape whose own do not fit it."""
+    color = finish.fallback or (GREY if finish.reads == DISPLAY else (0.0, 0.0, 0.0))
+    return np.tile(np.array(color), (count, 1))

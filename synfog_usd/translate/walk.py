@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdVol
 
 from synfog_usd.arrays import Array, Flags
@@ -26,9 +25,6 @@ from synfog_usd.translate.volume import vdb_fault
 
 MAX_LEAVES = 5_000_000
 """Prims that are drawn, instances counted; a file of 2 kB can ask for more by doubling references."""
-
-MAX_COLORS = 16
-"""Colours that the points of one instancer may have: each takes a copy of the prototypes."""
 
 MESHES = frozenset({"Mesh", "TetMesh"})
 CURVES = frozenset({"BasisCurves", "HermiteCurves", "NurbsCurves"})
@@ -66,7 +62,7 @@ _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset",
 _PURPOSES = ("default", "render", "proxy", "guide")
 _USUAL = frozenset({"default", "render"})
 _SHOWN = ("inherited", "visible", "invisible")
-_SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayColor", "primvars:displayOpacity", "model:drawMode"}
+_SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayOpacity", "model:drawMode"}
 _SAID_BEGINNINGS = (PREFIX, "userProperties:synfog")
 """Properties that mean something to the walk, by their names and by how these begin."""
 
@@ -94,7 +90,6 @@ class Leaf:
         matrix: (4, 4) float64, to stage coordinates or to the group's frame.
         owner: nearest labelled prim, within the group for a group's leaf.
         model: path of the nearest component or, in the world, the prim itself.
-        color: inherited constant displayColor, or None.
         fog: prim whose fog attributes hold for this one, or None.
         material: path of the material bound above the instance that the leaf is in, or None.
         stronger: whether that material comes before the leaf's own.
@@ -108,7 +103,6 @@ class Leaf:
     matrix: Array
     owner: Owner | None
     model: str | None
-    color: tuple[float, float, float] | None = None
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
@@ -141,6 +135,9 @@ class GroupInstance:
         path: prim path, with [n] behind a point instancer's.
         owner: labelled prim that the instance is part of, or None.
         model: path of the component around it, or the instance itself.
+        source: the instance or the point instancer.
+        number: of its point, -1 of an instance.
+        outer: the instance in whose prototype it stands, or None.
     """
 
     group: int
@@ -148,6 +145,9 @@ class GroupInstance:
     path: str
     owner: Owner | None
     model: str
+    source: Usd.Prim
+    number: int = -1
+    outer: GroupInstance | None = None
 
 
 @dataclass(slots=True)
@@ -177,7 +177,6 @@ class _State:
     schemas: tuple[str, ...] = ()
     owner: Owner | None = None
     model: str | None = None
-    color: tuple[float, float, float] | None = None
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
@@ -269,14 +268,7 @@ class _Walker:
         self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool
     ) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
-        purpose, hidden, owner, model, color, fog = (
-            above.purpose,
-            above.hidden,
-            above.owner,
-            above.model,
-            above.color,
-            None,
-        )
+        purpose, hidden, owner, model, fog = above.purpose, above.hidden, above.owner, above.model, None
         authored, says, moved = self.names(prim)
         if moved:
             self.check_order(prim, at, authored)
@@ -303,8 +295,6 @@ class _Walker:
                 self.notes.warn(path, f"label {label!r} is not a Cityscapes name; it counts as {UNLABELED}")
             splits = kind == "Scope" or (bool(prim_kind) and Kind.Registry.IsA(prim_kind, Kind.Tokens.group))
             owner = Owner(path, official or UNLABELED, splits)
-        if says and "primvars:displayColor" in authored:
-            color = self.constant_color(prim, color)
         if says and "primvars:displayOpacity" in authored:
             self.result.sheer = True
         mode = above.mode
@@ -328,7 +318,6 @@ class _Walker:
             schemas,
             owner,
             model,
-            color,
             fog,
             above.material,
             above.stronger,
@@ -359,17 +348,6 @@ class _Walker:
             if self.notes.token(at, attribute.GetName(), value, _SHOWN, "inherited") == "invisible":
                 hidden.add(purpose)
         return frozenset(hidden)
-
-    def constant_color(
-        self, prim: Usd.Prim, inherited: tuple[float, float, float] | None
-    ) -> tuple[float, float, float] | None:
-        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
-        if not primvar.HasAuthoredValue() or primvar.GetInterpolation() != UsdGeom.Tokens.constant:
-            return inherited
-        values = primvar.Get(self.time)
-        if values is None:
-            values = primvar.Get(Usd.TimeCode.EarliestTime())
-        return inherited if not values else (float(values[0][0]), float(values[0][1]), float(values[0][2]))
 
     def check_order(self, prim: Usd.Prim, at: Sdf.Path, authored: frozenset[str]) -> None:
         """Tell of transforms that do not move a prim, and of those that are named and not there."""
@@ -458,7 +436,6 @@ class _Walker:
             matrix,
             state.owner,
             model,
-            state.color,
             fog,
             state.material,
             state.stronger,
@@ -486,11 +463,13 @@ class _Walker:
     def instance(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         prototype = prim.GetPrototype()
         path = str(prim.GetPath())
-        index = self.group_of(prototype, state, self.bound(prim, state), state.color)
+        index = self.group_of(prototype, state, self.bound(prim, state))
         self.place(
             [index],
             self.matrix(prim, frame)[None],
             [path],
+            prim,
+            [-1],
             state,
             group,
             own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path),
@@ -516,8 +495,7 @@ class _Walker:
         mask = instancer.ComputeMaskAtTime(self.time)
         shown = np.asarray(mask, dtype=bool) if len(mask) == len(which) else np.ones(len(which), dtype=bool)
         groups = {}
-        colors, kind_of = self.instance_colors(prim, state, which, shown)
-        for number, kind in sorted(set(zip(which[shown].tolist(), kind_of[shown].tolist(), strict=True))):
+        for number in sorted(set(which[shown].tolist())):
             prototype = self.stage.GetPrimAtPath(targets[number])
             if (
                 not prototype
@@ -526,38 +504,16 @@ class _Walker:
             ):
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
-            groups[number, kind] = self.group_of(prototype, state, self.bound(prim, state), colors[kind])
+            groups[number] = self.group_of(prototype, state, self.bound(prim, state))
         own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
         place = self.matrix(prim, frame)
         all_matrices = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
         with np.errstate(invalid="ignore"):
             products = place @ all_matrices
         numbers = np.flatnonzero(shown)
-        indices = [groups.get(kind) for kind in zip(which[numbers].tolist(), kind_of[numbers].tolist(), strict=True)]
+        indices = [groups.get(kind) for kind in which[numbers].tolist()]
         paths = [f"{path}[{number}]" for number in numbers.tolist()]
-        self.place(indices, products[numbers], paths, state, group, own_instance=own)
-
-    def instance_colors(
-        self, prim: Usd.Prim, state: _State, which: npt.NDArray[np.int64], shown: npt.NDArray[np.bool_]
-    ) -> tuple[list[tuple[float, float, float] | None], npt.NDArray[np.int64]]:
-        """The displayColors of an instancer's points, and which of these each point has; their mean where they are
-        many.
-        """
-        same = np.zeros(len(which), dtype=np.int64)
-        if "primvars:displayColor" not in state.authored:
-            return [state.color], same
-        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
-        values = None if primvar.GetInterpolation() == UsdGeom.Tokens.constant else primvar.ComputeFlattened(self.time)
-        if values is None or len(values) != len(which) or not shown.any():
-            return [state.color], same
-        found, kind_of = np.unique(np.asarray(values, dtype=np.float64), axis=0, return_inverse=True)
-        if len(found) > MAX_COLORS:
-            self.notes.warn(
-                prim.GetPath(),
-                f"its points have {len(found)} displayColors; above {MAX_COLORS} they are drawn in their mean",
-            )
-            found, kind_of = np.asarray(values, dtype=np.float64)[shown].mean(axis=0, keepdims=True), same
-        return [(float(r), float(g), float(b)) for r, g, b in found], kind_of.reshape(-1)
+        self.place(indices, products[numbers], paths, prim, numbers.tolist(), state, group, own_instance=own)
 
     def bound(self, prim: Usd.Prim, state: _State) -> tuple[str | None, bool]:
         """Path of the material that leaves below an instance inherit from outside, and whether it comes before
@@ -577,11 +533,10 @@ class _Walker:
         prototype: Usd.Prim,
         state: _State,
         bound: tuple[str | None, bool],
-        color: tuple[float, float, float] | None,
     ) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
-        key = (root, color, bound, state.purpose, state.hidden, state.mode)
+        key = (root, bound, state.purpose, state.hidden, state.mode)
         known = self.group_index.get(key)
         if known is not None:
             return known
@@ -599,7 +554,6 @@ class _Walker:
                 state.drawn,
                 state.purpose,
                 state.hidden,
-                color=color,
                 material=bound[0],
                 stronger=bound[1],
                 mode=state.mode,
@@ -618,14 +572,17 @@ class _Walker:
         indices: list[int | None],
         matrices: Array,
         paths: list[str],
+        source: Usd.Prim,
+        numbers: list[int],
         state: _State,
         group: Group | None,
         *,
         own_instance: bool,
     ) -> None:
-        """Instances of groups, None for none, at (N, 4, 4) places."""
+        """Instances of groups, None for none, at (N, 4, 4) places, by an instance or the points of an instancer."""
         owner, model = state.owner, state.model
-        for index, matrix, path, stands in zip(indices, matrices, paths, _stand(matrices).tolist(), strict=True):
+        standing = _stand(matrices).tolist()
+        for index, matrix, path, number, stands in zip(indices, matrices, paths, numbers, standing, strict=True):
             if index is None:
                 continue
             if not stands:
@@ -636,7 +593,7 @@ class _Walker:
                 )
                 continue
             whose = Owner(path, owner.label) if owner is not None and own_instance else owner
-            placed = GroupInstance(index, matrix, path, whose, model or path)
+            placed = GroupInstance(index, matrix, path, whose, model or path, source, number)
             if group is not None:
                 group.inner.append(placed)
                 continue
@@ -691,4 +648,6 @@ def _within(outer: GroupInstance, inner: GroupInstance, root: str) -> GroupInsta
         owner = replace(inner.owner, path=outer.path + inner.owner.path.removeprefix(root))
     path = outer.path + inner.path.removeprefix(root)
     model = outer.model if inner.model == inner.path else outer.path + inner.model.removeprefix(root)
-    return GroupInstance(inner.group, outer.matrix @ inner.matrix, path, owner, model)
+    return GroupInstance(
+        inner.group, outer.matrix @ inner.matrix, path, owner, model, inner.source, inner.number, outer
+    )

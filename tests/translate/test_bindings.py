@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.translate import translate
 
@@ -134,9 +134,11 @@ def test_a_reader_takes_the_primvar_that_it_names(empty, square, only_shape, int
     if values:
         UsdGeom.PrimvarsAPI(prim).CreatePrimvar("tint", TYPES.Color3fArray, interpolation).Set(values)
     bind(prim, reading(stage, "UsdPrimvarReader_float3", "tint", fallback=(0.25, 0.5, 0.75)))
-    shape = only_shape(translate(stage))
+    scene = translate(stage)
+    shape = only_shape(scene)
     order = np.lexsort((shape["positions"][:, 2], shape["positions"][:, 0]))
-    np.testing.assert_allclose(shape["vertex_color"][order], np.array(wanted)[[0, 3, 1, 2]], atol=1e-6)
+    found = shape["vertex_color"][order] if "vertex_color" in shape else [color_of(scene, shape)] * 4
+    np.testing.assert_allclose(found, np.array(wanted)[[0, 3, 1, 2]], atol=1e-6)
 
 
 def test_a_constant_colour_is_read_from_above(empty, square, only_shape):
@@ -145,10 +147,25 @@ def test_a_constant_colour_is_read_from_above(empty, square, only_shape):
         [GREEN]
     )
     bind(square(stage, "/Car/Body"), reading(stage, "UsdPrimvarReader_float3", "tint"))
-    np.testing.assert_allclose(only_shape(translate(stage))["vertex_color"], [GREEN] * 4)
+    scene = translate(stage)
+    assert color_of(scene, only_shape(scene)) == GREEN
 
 
-def test_a_number_by_primvar_takes_the_readers_fallback_and_a_warning(empty, square, only_shape):
+@pytest.mark.parametrize(
+    "interpolation, values, wanted, told",
+    [
+        ("constant", [0.25], 0.25, ""),
+        (
+            "vertex",
+            [0.0, 0.25, 0.5, 0.25],
+            0.25,
+            "'rough' varies over it; roughness, which reads that, is drawn as its",
+        ),
+        ("", None, 0.875, ""),
+    ],
+)
+def test_a_number_by_primvar(empty, square, only_shape, interpolation, values, wanted, told):
+    """Its constant; its mean where it varies, with a note; the reader's fallback where the mesh has none."""
     stage = empty()
     material = reading(stage, "UsdPrimvarReader_float3", "tint")
     reader = UsdShade.Shader.Define(stage, "/Reading/Rough")
@@ -157,40 +174,352 @@ def test_a_number_by_primvar_takes_the_readers_fallback_and_a_warning(empty, squ
     reader.CreateInput("fallback", TYPES.Float).Set(0.875)
     surface = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Surface"))
     surface.CreateInput("roughness", TYPES.Float).ConnectToSource(reader.CreateOutput("result", TYPES.Float))
-    bind(square(stage, "/Mesh"), material)
+    prim = square(stage, "/Mesh")
+    bind(prim, material)
+    if values:
+        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("rough", TYPES.FloatArray, interpolation).Set(values)
     scene = translate(stage)
-    assert scene.world[only_shape(scene)["bsdf"]["id"]]["bsdf"]["roughness"] == 0.875
-    assert any(note.severity == "warning" and "'rough'" in note.text for note in scene.notes)
+    assert scene.world[only_shape(scene)["bsdf"]["id"]]["bsdf"]["roughness"] == wanted
+    notes = [note for note in scene.notes if note.severity == "warning"]
+    assert [note.path for note in notes] == (["/Mesh"] if told else []) and all(told in note.text for note in notes)
 
 
-def instancer(stage, square, colors):
+def write(stage, path, name, kind, value):
+    """An attribute of a type of its own, also where a schema wants another: as files have it."""
+    spec = Sdf.AttributeSpec(Sdf.CreatePrimInLayer(stage.GetRootLayer(), path), name, kind, declaresCustom=True)
+    spec.default = kind.type.pythonClass(value) if kind.isArray else type(kind.defaultValue)(value)
+
+
+TINTS = [
+    (TYPES.Color3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
+    (TYPES.Half3, (0.125, 0.75, 0.5), (0.125, 0.75, 0.5)),
+    (TYPES.Double3, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
+    (TYPES.Vector3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
+    (TYPES.Color4f, (0.1, 0.8, 0.4, 0.9), (0.1, 0.8, 0.4)),
+    (TYPES.Int3, Gf.Vec3i(0, 1, 0), (0.0, 1.0, 0.0)),
+    (TYPES.Int, 1, (1.0, 1.0, 1.0)),
+    (TYPES.UChar, 1, (1.0, 1.0, 1.0)),
+    (TYPES.Int64, 0, (0.0, 0.0, 0.0)),
+    (TYPES.Bool, True, (1.0, 1.0, 1.0)),
+    (TYPES.Half, 0.25, (0.25, 0.25, 0.25)),
+    (TYPES.Double, 0.25, (0.25, 0.25, 0.25)),
+    (TYPES.FloatArray, [0.25], (0.25, 0.25, 0.25)),
+    (TYPES.FloatArray, [0.1, 0.8, 0.4], (0.1, 0.8, 0.4)),
+    (TYPES.Color3hArray, [(0.125, 0.75, 0.5)], (0.125, 0.75, 0.5)),
+    (TYPES.IntArray, [1], (1.0, 1.0, 1.0)),
+]
+NO_COLOURS = [
+    (TYPES.Float2, (0.5, 0.5)),
+    (TYPES.Matrix3d, Gf.Matrix3d(0.5)),
+    (TYPES.Quatf, Gf.Quatf(0.5)),
+    (TYPES.String, "red"),
+    (TYPES.TokenArray, ["red"]),
+    (TYPES.Asset, "red.png"),
+    (TYPES.Color3f, (float("nan"), 0.5, 0.5)),
+]
+
+
+@pytest.mark.parametrize("at", ["/A/B/Mesh", "/A/B", "/A"])
+@pytest.mark.parametrize("name", ["tint", "displayColor"])
+@pytest.mark.parametrize("kind, value, wanted", TINTS)
+def test_a_constant_of_any_numeric_type_is_a_colour(empty, square, only_shape, at, name, kind, value, wanted):
+    """A scalar or an array of one, on the shape or above it: UsdGeomPrimvar's rules."""
+    stage = empty()
+    for path in ("/A", "/A/B"):
+        UsdGeom.Xform.Define(stage, path)
+    prim = square(stage, "/A/B/Mesh")
+    write(stage, at, f"primvars:{name}", kind, value)
+    if name == "tint":
+        bind(prim, reading(stage, "UsdPrimvarReader_float3", name))
+    scene = translate(stage)
+    np.testing.assert_allclose(color_of(scene, only_shape(scene)), wanted, rtol=1e-6)
+    assert not [note for note in scene.notes if note.severity == "warning"]
+
+
+@pytest.mark.parametrize("at", ["/A/Mesh", "/A"])
+@pytest.mark.parametrize("name", ["tint", "displayColor", "displayOpacity"])
+@pytest.mark.parametrize("kind, value", NO_COLOURS)
+def test_a_constant_that_is_no_colour_is_told(empty, square, only_shape, at, name, kind, value):
+    stage = empty()
+    UsdGeom.Xform.Define(stage, "/A")
+    prim = square(stage, "/A/Mesh")
+    write(stage, at, f"primvars:{name}", kind, value)
+    if name == "tint":
+        bind(prim, reading(stage, "UsdPrimvarReader_float3", name, fallback=(0.25, 0.5, 0.75)))
+    scene = translate(stage)
+    if name != "displayOpacity":
+        wanted = (0.25, 0.5, 0.75) if name == "tint" else (0.18,) * 3
+        np.testing.assert_allclose(color_of(scene, only_shape(scene)), wanted)
+    if name != "displayOpacity" or kind != TYPES.Color3f:
+        assert [note.path for note in scene.notes if name in note.text] == ["/A/Mesh"]
+
+
+def test_what_is_not_constant_is_not_inherited_and_hides_what_is_above(empty, square, only_shape):
+    """As FindPrimvarWithInheritance of OpenUSD has it."""
+    stage = empty()
+    for path, interpolation in (("/A", "constant"), ("/A/B", "vertex")):
+        prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("displayColor", TYPES.Color3fArray, interpolation).Set([RED])
+    prim = square(stage, "/A/B/Mesh")
+    assert not UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    scene = translate(stage)
+    assert color_of(scene, only_shape(scene)) == (0.18,) * 3
+
+
+@pytest.mark.parametrize("interpolation, count", [("vertex", 4), ("varying", 4), ("uniform", 1), ("faceVarying", 4)])
+@pytest.mark.parametrize("kind, width", [(TYPES.FloatArray, 1), (TYPES.IntArray, 1), (TYPES.Color4fArray, 4)])
+@pytest.mark.parametrize("indexed", [False, True])
+def test_values_that_vary_have_any_numeric_type(empty, square, only_shape, interpolation, count, kind, width, indexed):
+    """Numbers are greys, and of four the first three count."""
+    stage = empty()
+    prim = square(stage, "/Mesh")
+    greys = [1, 0, 1, 0][:count]
+    values = [1, 0] if indexed else greys
+    primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("tint", kind, interpolation)
+    primvar.Set(values if width == 1 else [(one,) * width for one in values])
+    if indexed:
+        primvar.SetIndices([1 - grey for grey in greys])
+    bind(prim, reading(stage, "UsdPrimvarReader_float3", "tint"))
+    shape = only_shape(translate(stage))
+    point = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    wanted = {tuple(place): greys[k % count] for k, place in enumerate(point)}
+    found = {
+        tuple(p[[0, 2]]): color.tolist() for p, color in zip(shape["positions"], shape["vertex_color"], strict=True)
+    }
+    assert found == {place: [grey] * 3 for place, grey in wanted.items()}
+
+
+def test_elements_of_several_numbers(empty, square, only_shape):
+    """float[] of element size 3 holds colours."""
+    stage = empty()
+    prim = square(stage, "/Mesh")
+    primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("tint", TYPES.FloatArray, "vertex", 3)
+    primvar.Set([0.0, 0.5, 1.0] * 4)
+    bind(prim, reading(stage, "UsdPrimvarReader_float3", "tint"))
+    np.testing.assert_allclose(only_shape(translate(stage))["vertex_color"], [[0.0, 0.5, 1.0]] * 4)
+
+
+@pytest.mark.parametrize(
+    "name, kind, value, key, wanted",
+    [
+        ("roughness", TYPES.Float, 0.25, "roughness", 0.25),
+        ("roughness", TYPES.Int, 1, "roughness", 1.0),
+        ("metallic", TYPES.Double, 0.5, "metallic", 0.5),
+        ("clearcoat", TYPES.HalfArray, [0.5], "clearcoat", 0.5),
+        ("ior", TYPES.Float, 1.25, "eta", 1.25),
+    ],
+)
+def test_a_constant_is_read_into_any_input(empty, square, only_shape, name, kind, value, key, wanted):
+    """Two shapes with one material each take their own."""
+    stage = empty()
+    material = reading(stage, "UsdPrimvarReader_float", "x")
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Surface"))
+    output = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Reader")).GetOutput("result")
+    surface.CreateInput(name, TYPES.Float).ConnectToSource(output)
+    prims = [square(stage, f"/Mesh{k}") for k in range(2)]
+    prims[0].CreateAttribute("primvars:x", kind, custom=True).Set(value)
+    for prim in prims:
+        bind(prim, material)
+    scene = translate(stage)
+    assert scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"][key] == wanted
+    assert scene.world[scene.world["shape_1"]["bsdf"]["id"]]["bsdf"].get(key) != wanted
+
+
+def test_a_constant_is_read_into_emission_and_opacity(empty, square, only_shape):
+    stage = empty()
+    material = reading(stage, "UsdPrimvarReader_float3", "glow")
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Surface"))
+    output = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Reader")).GetOutput("result")
+    surface.CreateInput("emissiveColor", TYPES.Color3f).ConnectToSource(output)
+    alpha = UsdShade.Shader.Define(stage, "/Reading/Alpha")
+    alpha.CreateIdAttr("UsdPrimvarReader_float")
+    alpha.CreateInput("varname", TYPES.Token).Set("primvars:alpha")
+    surface.CreateInput("opacity", TYPES.Float).ConnectToSource(alpha.CreateOutput("result", TYPES.Float))
+    prim = square(stage, "/Mesh")
+    prim.CreateAttribute("primvars:glow", TYPES.Color3f, custom=True).Set((10, 20, 30))
+    prim.CreateAttribute("primvars:alpha", TYPES.Float, custom=True).Set(0.5)
+    bind(prim, material)
+    scene = translate(stage)
+    shape = only_shape(scene)
+    assert shape["emitter"]["radiance"]["value"] == [10, 20, 30]
+    assert scene.world[shape["bsdf"]["id"]]["opacity"] == 0.5
+
+
+def test_a_constant_that_moves_is_that_of_the_frame(empty, square, only_shape):
+    stage = empty()
+    above = UsdGeom.Xform.Define(stage, "/A").GetPrim()
+    tint = above.CreateAttribute("primvars:tint", TYPES.Color3f, custom=True)
+    tint.Set(RED, 1)
+    tint.Set(BLUE, 3)
+    bind(square(stage, "/A/Mesh"), reading(stage, "UsdPrimvarReader_float3", "tint"))
+    for frame, wanted in ((1, RED), (2, (0.5, 0.0, 0.5)), (3, BLUE)):
+        scene = translate(stage, frame=frame)
+        assert color_of(scene, only_shape(scene)) == wanted
+
+
+def test_subsets_read_the_primvars_of_their_mesh(empty, polygon_mesh):
+    stage = empty()
+    points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
+    mesh = polygon_mesh(stage, "/Mesh", points, [3, 3], [0, 1, 2, 0, 2, 3])
+    mesh.GetPrim().CreateAttribute("primvars:tint", TYPES.Color3f, custom=True).Set(BLUE)
+    subset = UsdShade.MaterialBindingAPI(mesh).CreateMaterialBindSubset("Part", [1])
+    bind(subset.GetPrim(), reading(stage, "UsdPrimvarReader_float3", "tint"))
+    scene = translate(stage)
+    assert [color_of(scene, scene.world[f"shape_{n}"]) for n in range(2)] == [BLUE, (0.18,) * 3]
+
+
+@pytest.mark.parametrize("at, wanted", [("/Placed", GREEN), ("/Above", GREEN), ("/Car", GREEN), ("/Car/Body", GREEN)])
+@pytest.mark.parametrize("name", ["tint", "displayColor"])
+def test_instances_inherit_from_above(empty, square, at, wanted, name):
+    """A constant on an instance, above it, on its model or within it reaches the shapes of its prototype."""
+    stage = empty()
+    stage.CreateClassPrim("/Car")
+    body = square(stage, "/Car/Body")
+    if name == "tint":
+        bind(body, reading(stage, "UsdPrimvarReader_float3", "tint", fallback=RED))
+    UsdGeom.Xform.Define(stage, "/Above")
+    for path in ("/Above/One", "/Above/Two", "/Placed"):
+        placed = stage.DefinePrim(path, "Xform")
+        placed.GetReferences().AddInternalReference("/Car")
+        placed.SetInstanceable(True)
+    write(stage, at, f"primvars:{name}", TYPES.Color3f, GREEN)
+    paths = (
+        ["/Above/One", "/Above/Two"]
+        if at == "/Above"
+        else ["/Placed"]
+        if at == "/Placed"
+        else ["/Placed", "/Above/One"]
+    )
+    found = colors_by_instance(translate(stage))
+    assert all(found[path] == wanted for path in paths)
+    assert len({*found.values()}) == (1 if at.startswith("/Car") else 2)
+
+
+def colors_by_instance(scene):
+    """Path of each instance -> its colour."""
+    path_of = {instance.id: instance.path for instance in scene.instances}
+    found = {}
+    for (key, *inner), number in scene.instance_of.items():
+        part = scene.world[key]
+        shape = scene.world[part["shapegroup"]["id"]][inner[0]] if inner else part
+        color = color_of(scene, shape)
+        found[path_of[number]] = tuple(round(c, 6) for c in color)
+    return found
+
+
+def instancer(stage, square, values, name="displayColor", interpolation="vertex", kind=TYPES.Color3fArray, count=None):
     made = UsdGeom.PointInstancer.Define(stage, "/Points")
-    square(stage, "/Points/Proto")
+    proto = square(stage, "/Points/Proto")
+    count = len(values) if count is None else count
     made.CreatePrototypesRel().AddTarget("/Points/Proto")
-    made.CreateProtoIndicesAttr([0] * len(colors))
-    made.CreatePositionsAttr([(3.0 * n, 0, 0) for n in range(len(colors))])
-    UsdGeom.PrimvarsAPI(made).CreatePrimvar("displayColor", TYPES.Color3fArray, "vertex").Set(colors)
+    made.CreateProtoIndicesAttr([0] * count)
+    made.CreatePositionsAttr([(3.0 * n, 0, 0) for n in range(count)])
+    primvar = UsdGeom.PrimvarsAPI(made).CreatePrimvar(name, kind, interpolation)
+    primvar.Set(values)
+    if name != "displayColor":
+        bind(proto, reading(stage, "UsdPrimvarReader_float3", name))
+    return primvar
 
 
-def test_points_of_an_instancer_take_their_colours(empty, square):
+@pytest.mark.parametrize("name", ["displayColor", "tint"])
+@pytest.mark.parametrize("interpolation", ["vertex", "varying", "faceVarying"])
+def test_points_of_an_instancer_take_their_colours(empty, square, name, interpolation):
     """Four points of two colours are two groups of two instances."""
     stage = empty()
-    instancer(stage, square, [RED, GREEN, RED, GREEN])
+    instancer(stage, square, [RED, GREEN, RED, GREEN], name, interpolation)
     scene = translate(stage)
-    found = {}
-    for part in scene.world.values():
-        if isinstance(part, dict) and part["type"] == "instance":
-            shape = scene.world[part["shapegroup"]["id"]]["shape_0"]
-            found[round(float(part["to_world"][0, 3]))] = color_of(scene, shape)
-    assert found == {0: RED, 3: GREEN, 6: RED, 9: GREEN}
+    assert list(colors_by_instance(scene).values()) == [RED, RED, GREEN, GREEN]
+    assert {f"/Points[{n}]": (RED, GREEN)[n % 2] for n in range(4)} == colors_by_instance(scene)
+    assert len([key for key in scene.world if key.startswith("group_")]) == 2
 
 
-def test_many_colours_of_an_instancer_are_their_mean_with_a_warning(empty, square):
+@pytest.mark.parametrize("name", ["displayColor", "tint"])
+@pytest.mark.parametrize("interpolation", ["constant", "uniform"])
+def test_an_instancer_gives_one_value_to_all(empty, square, name, interpolation):
     stage = empty()
-    instancer(stage, square, [(n / 20, 0.5, 0.0) for n in range(20)])
+    instancer(stage, square, [GREEN], name, interpolation, count=3)
+    assert set(colors_by_instance(translate(stage)).values()) == {GREEN}
+
+
+@pytest.mark.parametrize("name", ["displayColor", "tint"])
+def test_values_of_points_are_indexed(empty, square, name):
+    stage = empty()
+    instancer(stage, square, [RED, BLUE], name, count=4).SetIndices([1, 0, 0, 1])
+    assert colors_by_instance(translate(stage)) == {
+        f"/Points[{n}]": color for n, color in enumerate([BLUE, RED, RED, BLUE])
+    }
+
+
+def test_numbers_of_points_are_read_too(empty, square):
+    stage = empty()
+    instancer(stage, square, [0.25, 1.0], "tint", kind=TYPES.FloatArray)
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Surface"))
+    output = UsdShade.Shader(stage.GetPrimAtPath("/Reading/Reader")).GetOutput("result")
+    surface.CreateInput("roughness", TYPES.Float).ConnectToSource(output)
     scene = translate(stage)
-    np.testing.assert_allclose(color_of(scene, scene.world["group_0"]["shape_0"]), (9.5 / 20, 0.5, 0.0), rtol=1e-6)
-    assert any(note.severity == "warning" and "20 displayColors" in note.text for note in scene.notes)
+    assert colors_by_instance(scene) == {"/Points[0]": (0.25,) * 3, "/Points[1]": (1.0,) * 3}
+    found = [bsdf["bsdf"]["roughness"] for key, bsdf in scene.world.items() if key.startswith("mat_")]
+    assert found == [0.25, 1.0]
+
+
+def test_a_value_too_few_for_the_points_is_told(empty, square):
+    stage = empty()
+    instancer(stage, square, [RED, GREEN], "tint", count=3)
+    scene = translate(stage)
+    assert [note.path for note in scene.notes if "2 values for 3 points" in note.text] == ["/Points"]
+
+
+@pytest.mark.parametrize("inner", [None, [BLUE, GREEN]])
+@pytest.mark.parametrize("name", ["displayColor", "tint"])
+def test_instancers_within_instancers(empty, square, name, inner):
+    """A shape takes the value of its own point of the nearest instancer that has any."""
+    stage = empty()
+    outer = UsdGeom.PointInstancer.Define(stage, "/Outer")
+    made = UsdGeom.PointInstancer.Define(stage, "/Outer/Inner")
+    proto = square(stage, "/Outer/Inner/Proto")
+    for one, target, far in ((outer, "/Outer/Inner", 10.0), (made, "/Outer/Inner/Proto", 2.0)):
+        one.CreatePrototypesRel().AddTarget(target)
+        one.CreateProtoIndicesAttr([0, 0])
+        one.CreatePositionsAttr([(0, 0, 0), (far, 0, 0)])
+    UsdGeom.PrimvarsAPI(outer).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set([RED, GREEN])
+    if inner:
+        UsdGeom.PrimvarsAPI(made).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set(inner)
+    if name == "tint":
+        bind(proto, reading(stage, "UsdPrimvarReader_float3", name))
+    scene = translate(stage)
+    found = {
+        float(part["to_world"][0, 3]): color_of(scene, scene.world[part["shapegroup"]["id"]]["shape_0"])
+        for key, part in scene.world.items()
+        if key.startswith("instance_")
+    }
+    first, second = inner or [RED, RED], inner or [GREEN, GREEN]
+    assert found == {0.0: first[0], 2.0: first[1], 10.0: second[0], 12.0: second[1]}
+
+
+def test_kinds_of_an_instancer_share_their_mesh(empty, square):
+    """A thousand colours are a thousand materials and one set of points."""
+    stage = empty()
+    colors = np.random.default_rng(1).random((1000, 3)).astype(np.float32)
+    instancer(stage, square, colors.tolist(), "tint")
+    scene = translate(stage)
+    groups = [part for key, part in scene.world.items() if key.startswith("group_")]
+    assert len(groups) == 1000 and len({id(group["shape_0"]["positions"]) for group in groups}) == 1
+    found = colors_by_instance(scene)
+    np.testing.assert_allclose([found[f"/Points[{n}]"] for n in range(1000)], colors, atol=1e-6)
+
+
+def test_many_colours_of_an_instancer_are_rounded_with_a_warning(empty, square):
+    """Of more kinds than are told apart, those that differ least are one; how much, is told and holds."""
+    stage = empty()
+    colors = np.random.default_rng(1).random((20_000, 3)).astype(np.float32)
+    instancer(stage, square, colors.tolist(), "tint")
+    scene = translate(stage)
+    (note,) = [note for note in scene.notes if "values of tint" in note.text]
+    off = float(note.text.split("off by ")[1].split(" ")[0])
+    found = colors_by_instance(scene)
+    assert len(set(found.values())) <= 4096 and off < 0.08
+    error = np.abs(np.array([found[f"/Points[{n}]"] for n in range(20_000)]) - colors)
+    assert error.max() <= off * 1.1
 
 
 @pytest.mark.parametrize("frame, place", [(None, 10.0), (7, 15.0), (9, 20.0)])
@@ -238,3 +567,28 @@ def test_a_reset_of_transforms_within_an_instance_is_told(empty, square):
     placed.GetReferences().AddInternalReference("/Car")
     placed.SetInstanceable(True)
     assert any("resetXformStack" in note.text for note in translate(stage).notes)
+
+
+@pytest.mark.parametrize(
+    "context, shader", [("ri", "PxrSurface"), ("arnold", "arnold:standard_surface"), ("", "Strange")]
+)
+@pytest.mark.parametrize("interpolation, colors", [("constant", [BLUE]), ("vertex", [RED, BLUE, RED, BLUE])])
+def test_unknown_materials_leave_a_shape_its_own_colours(
+    empty, square, only_shape, context, shader, interpolation, colors
+):
+    """As the note says."""
+    stage = empty()
+    material = UsdShade.Material.Define(stage, "/M")
+    surface = UsdShade.Shader.Define(stage, "/M/S")
+    surface.CreateIdAttr(shader)
+    material.CreateSurfaceOutput(context).ConnectToSource(surface.CreateOutput("out", TYPES.Token))
+    prim = square(stage, "/Mesh")
+    UsdGeom.Mesh(prim).CreateDisplayColorPrimvar(interpolation).Set(colors)
+    bind(prim, material)
+    scene = translate(stage)
+    shape = only_shape(scene)
+    if len(colors) == 1:
+        assert color_of(scene, shape) == BLUE
+    else:
+        assert {tuple(color) for color in shape["vertex_color"].tolist()} == {RED, BLUE}
+    assert ["displayColor" in note.text for note in scene.notes if note.path == "/M"] == [True]

@@ -692,8 +692,6 @@ def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     "line, name",
     [
         ("float normals = 3", "normals is a float, and a normal3f[] is wanted"),
-        ('token primvars:displayColor = "a"', "primvars:displayColor is a token"),
-        ('string[] primvars:displayOpacity = ["a"]', "primvars:displayOpacity is a string[]"),
         ('string[] holeIndices = ["a"]', "holeIndices is a string[]"),
     ],
 )
