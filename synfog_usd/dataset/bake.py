@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from synfog_usd.render.shot import Rendered, Settings
     from synfog_usd.scene import Note, SceneDict
 
+OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
+"""Files of a shot beside what its graph makes."""
+
 METERED = 0.01
 """Part of a shot that is done when its lighting is metered."""
 
@@ -191,6 +194,8 @@ def bake(
         for shot in unfinished:
             if shot in scenes.known:
                 check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.denoise))
+        if moved := ledger.set_aside(todo, {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}):
+            log(f"{plan.out}: {moved}")
 
         def label(index: int) -> None:
             """After the shot of this number, and before the next; -1 before all."""
@@ -667,7 +672,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
     files.write_json(folder / "instances.json", labels.instance_list(made.hidden, scene, _left(made, graph)))
-    names = ["radiance.exr", "layers.exr", "instances.json"]
+    names = [*OF_SHOT]
     for name, part in exposures.items():
         names.append(f"{name}.exr")
         writers.write_exr(folder / names[-1], part, attributes=marks)

@@ -7,20 +7,24 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+import itertools
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import __version__, files
 from synfog_usd.dataset.plan import BakePlan, Shot
+from synfog_usd.errors import OutputError
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
 
 MANIFEST = "bake.json"
+EARLIER = "earlier"
+"""How folders begin in which what an earlier bake left is set aside."""
 
 
 def library_versions(*, denoise: bool) -> dict[str, str]:
@@ -98,14 +102,73 @@ class Ledger:
         self.contact: dict[str, str] = {}
         self.light: Mapping[str, str] = {}  # by lighting: how light it is outdoors
         self._next_s = 0.0
+        self._earlier: dict[str, Any] = {}  # what lies here of a bake with other options, stage or libraries
         try:
             before = json.loads((out / MANIFEST).read_bytes())
             same = {key: before[key] for key in metadata} == json.loads(json.dumps(self.metadata))
             rows = {row["folder"]: row for row in before["shots"]} if same else {}
             self.labels = before["labels"] if same else {}
+            self._earlier = {} if same else dict(before)
         except (OSError, ValueError, KeyError, TypeError):
             return  # no manifest, or none that we wrote: everything is made anew
         self.rows = {folder: row for folder, row in rows.items() if self._whole(out / folder, row["files"])}
+
+    def set_aside(self, todo: Sequence[Shot], names: Collection[str]) -> str:
+        """Move what an earlier bake with other options left here, and this one will not write over: its shots would lie
+        beside labels that are not theirs.
+
+        Files that its manifest lists are moved, with its labels, into a folder that is a bake by itself; all else stays
+        where it is.
+
+        Args:
+            todo: what this bake makes.
+            names: files of each of its shots.
+
+        Returns:
+            what was moved where, in words; '' where nothing was.
+
+        Raises:
+            OutputError: a file cannot be moved.
+        """
+        try:
+            here = {shot.folder for shot in todo}
+            rows = [
+                {**row, "files": {n: h for n, h in row["files"].items() if row["folder"] not in here or n not in names}}
+                for row in self._earlier.get("shots", ())
+            ]
+            rows = [row for row in rows if any(self._own(f"{row['folder']}/{name}") for name in row["files"])]
+            beside = [*self._earlier.get("labels", ()), *self._earlier.get("contact", ())]
+        except (KeyError, TypeError, AttributeError):
+            return ""
+        if not rows:
+            return ""
+        target = next(
+            folder
+            for number in itertools.count(1)
+            if not ((folder := self.out / f"{EARLIER}-{number}") / MANIFEST).exists()
+        )
+        try:
+            for name in [*beside, *(f"{row['folder']}/{name}" for row in rows for name in row["files"])]:
+                if path := self._own(name):
+                    (target / name).parent.mkdir(parents=True, exist_ok=True)
+                    path.replace(target / name)
+                    with contextlib.suppress(OSError):  # something else lies there
+                        for folder in path.relative_to(self.out).parents:
+                            (self.out / folder).rmdir()
+        except OSError as error:
+            raise OutputError(
+                f"{target}: cannot be written ({error.strerror}); choose another output folder"
+            ) from error
+        files.write_json(target / MANIFEST, {**self._earlier, "shots": rows})
+        files.write_json(self.out / MANIFEST, self.manifest(()))
+        folders = ", ".join(row["folder"] for row in rows)
+        return f"{folders} of an earlier bake with other options lie in {target} now, with their labels"
+
+    def _own(self, name: str) -> Path | None:
+        """A file in this folder by its name in a manifest; None where it is not there, or leads elsewhere."""
+        path = self.out / name
+        inside = ".." not in path.parts and path.resolve().is_relative_to(self.out.resolve())
+        return path if inside and path.is_file() else None
 
     @staticmethod
     def _whole(folder: Path, hashes: Mapping[str, str]) -> bool:

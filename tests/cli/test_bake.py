@@ -561,3 +561,26 @@ def test_an_option_by_its_old_name_is_taken_and_its_new_one_told(stage, tmp_path
     assert "--set of bake is called --choose now" in capsys.readouterr().err
     graph = ["graph", "run", "phone", "--set", "sensor.iso=400"]
     assert _in_new_words(graph) is graph and not capsys.readouterr().err
+
+
+def test_another_size_in_the_same_folder_leaves_no_old_shot_beside_new_labels(stage, tmp_path):
+    """The fog that is not asked for any more lies aside with the labels of its size, and a line says where; the same
+    command again changes no byte.
+    """
+    out = tmp_path / "out"
+    common = ("bake", stage, "--lighting", "sky", "--samples", "2", "-o", out)
+    assert run(*common, "--fog", "clear,mor150", "--resolution", "32x18").returncode == 0
+    (out / "notes.txt").write_text("mine")
+    done = run(*common, "--fog", "clear", "--resolution", "48x27")
+    assert done.returncode == 0, done.stderr
+    assert f"{out}: sky/mor150 of an earlier bake with other options lie in {out / 'earlier-1'} now" in done.stderr
+    assert sorted(path.name for path in out.iterdir()) == [
+        *("bake.json", "contact.png", "earlier-1", "labels.exr", "labels.json", "notes.txt", "sky"),
+    ]
+    aside = json.loads((out / "earlier-1" / "bake.json").read_text())
+    assert [row["folder"] for row in aside["shots"]] == ["sky/mor150"]
+    labels = {name: hashlib.sha256((out / "earlier-1" / name).read_bytes()).hexdigest() for name in aside["labels"]}
+    assert labels == aside["labels"]
+    before = hashes(out)
+    assert run(*common, "--fog", "clear", "--resolution", "48x27").returncode == 0
+    assert hashes(out) == before
