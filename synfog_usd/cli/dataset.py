@@ -175,6 +175,10 @@ def export(
     drop: Annotated[
         str, typer.Option(help="Things that get no box: none, invisible, or faint (and invisible) ones.")
     ] = "invisible",
+    classes: Annotated[
+        str,
+        typer.Option(help="Classes of things that get boxes, as car,truck; all if left out.", show_default=False),
+    ] = "",
     licence: Annotated[str, typer.Option(help="Licence of the pictures, as an SPDX name or URL.")] = "not stated",
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -182,7 +186,7 @@ def export(
     """Write a set for other people's loaders, with a data card and a Croissant record."""
     from synfog_usd.cli import exports as verb
 
-    verb.export(out, form, to, drop=drop, licence=licence, quiet=quiet, as_json=as_json)
+    verb.export(out, form, to, drop=drop, classes=classes, licence=licence, quiet=quiet, as_json=as_json)
 
 
 @app.command()

@@ -7,21 +7,25 @@ from pathlib import Path
 
 from synfog_usd.cli.progress import shown
 from synfog_usd.errors import ParameterError
-from synfog_usd.exports import run
-from synfog_usd.exports.record import exporter
+from synfog_usd.exports import run, taxonomy
+from synfog_usd.exports.record import Choice, exporter
 
 DROPS = {"none": (), "invisible": ("invisible",), "faint": ("invisible", "faint")}
 
 
-def export(out: Path, form: str, to: str | None, *, drop: str, licence: str, quiet: bool, as_json: bool) -> None:
+def export(
+    out: Path, form: str, to: str | None, *, drop: str, classes: str, licence: str, quiet: bool, as_json: bool
+) -> None:
     """Write a set in another format."""
     one = exporter(form)
     if drop not in DROPS:
         raise ParameterError(f"--drop {drop}: one of {', '.join(DROPS)}")
+    words = [word.strip() for word in classes.split(",") if word.strip()]
+    chosen = Choice(DROPS[drop], taxonomy.class_names(words))
     url = to if to is not None and run.is_url(to) else None
     target = Path(to) if to is not None and url is None else out.resolve().with_name(f"{out.resolve().name}-{form}")
     with shown(quiet) as (progress, _):
-        census = run.export(out, one, target, drop=DROPS[drop], licence=licence, url=url, progress=progress)
+        census = run.export(out, one, target, chosen=chosen, licence=licence, url=url, progress=progress)
     if as_json:
         told = {"folder": str(target), "pictures": census.pictures, "boxes": census.things, "dropped": census.dropped}
         print(json.dumps(told, indent=2))

@@ -16,7 +16,7 @@ from synfog_usd.dataset import masks
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Drop
+from synfog_usd.exports.record import Choice
 from synfog_usd.files import write_whole
 
 EXTRAS = (
@@ -37,13 +37,13 @@ EXTRAS = (
 )
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
     """Write `images/<split>/*` and `annotations/instances_<split>.json`."""
     splits = list(dict.fromkeys(picture.split for picture in pictures()))
     for split in splits:
         write_whole(
             folder.root / "annotations" / f"instances_{split}.json",
-            lambda temporary, split=split: _write_split(pictures, folder, drop, split, temporary.open("w")),
+            lambda temporary, split=split: _write_split(pictures, folder, chosen, split, temporary.open("w")),
         )
     return [
         "bbox is x, y, width, height of the visible pixels; segmentation is run lengths, also where iscrowd is 0.",
@@ -52,7 +52,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
 
 
 def _write_split(
-    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop, split: str, handle: IO[str]
+    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice, split: str, handle: IO[str]
 ) -> None:
     """The annotations as they come, then the shorter list of pictures; memory does not grow with the annotations."""
     images: list[dict[str, Any]] = []
@@ -74,11 +74,11 @@ def _write_split(
                     "synfog": {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes},
                 }
             )
-            for row in taxonomy.things(picture, drop):
+            for row in taxonomy.things(picture, chosen):
                 number += 1
                 text = json.dumps(_annotation(number, len(images), row, labels.mask(row["id"])), allow_nan=False)
                 handle.write((",\n" if number > 1 else "\n") + text)
-        categories = [{"id": kind.id, "name": kind.name, "supercategory": "thing"} for kind in taxonomy.THINGS]
+        categories = [{"id": kind.id, "name": kind.name, "supercategory": "thing"} for kind in taxonomy.kinds(chosen)]
         rest = {
             "images": images,
             "categories": categories,

@@ -14,14 +14,14 @@ import numpy as np
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, jsonl, quantised
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Drop
+from synfog_usd.exports.record import Choice
 from synfog_usd.files import write_whole
 
 STEPS_PER_M = 256.0
 OF_FLOAT = ("distance_m", "visible_share", "truncation", "mean_transmittance", "contrast", "cnr")
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
     """Write `data/<split>/*`, `data/<split>/metadata.jsonl` and `labels/<split>/*_{depth,id,class}.png`."""
 
     def rows(split: str) -> Iterator[dict[str, Any]]:
@@ -35,7 +35,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             folder.png(f"{beside}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
             folder.png(f"{beside}_id.png", np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16))
             folder.png(f"{beside}_class.png", labels.semantic.astype(np.uint8))
-            things = list(taxonomy.things(picture, drop))
+            things = list(taxonomy.things(picture, chosen))
             camera = labels.camera
             yield {
                 "file_name": name,

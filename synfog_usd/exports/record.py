@@ -10,8 +10,22 @@ from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture
 
-Drop = tuple[str, ...]
-"""Words of `visibility` whose instances get no box."""
+
+@dataclass(frozen=True)
+class Choice:
+    """Which instances get a box.
+
+    Attributes:
+        drop: words of `visibility` whose instances get none.
+        classes: Cityscapes' names of those that may have one, in the order of the numbers that YOLO gives them; all
+            things if empty.
+    """
+
+    drop: tuple[str, ...] = ()
+    classes: tuple[str, ...] = ()
+
+
+EVERY = Choice()
 
 
 @dataclass(frozen=True)
@@ -23,30 +37,34 @@ class Exporter:
         what: what is written, in a sentence.
         reader: the library or program that reads it.
         depth: what its depth means, or ''.
+        boxes: whether it tells of single things; else labels are of pixels.
     """
 
     name: str
     what: str
     reader: str
     depth: str
+    boxes: bool = True
 
     @property
     def module(self) -> str:
         """Of its `write`."""
         return f"synfog_usd.exports.{self.name.replace('-', '_')}"
 
-    def write(self, pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+    def write(
+        self, pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice
+    ) -> list[str]:
         """Write all pictures.
 
         Args:
             pictures: begins anew at each call.
             folder: to be filled.
-            drop: instances that get no box.
+            chosen: instances that get a box.
 
         Returns:
             what a reader of the data card must know besides, in sentences.
         """
-        return list(importlib.import_module(self.module).write(pictures, folder, drop))
+        return list(importlib.import_module(self.module).write(pictures, folder, chosen))
 
 
 EXPORTERS = {
@@ -62,12 +80,13 @@ EXPORTERS = {
             "kitti", "Object labels, calibration and depth in the columns of the devkit.", "KITTI's devkit", "planar"
         ),
         Exporter("yolo", "Boxes as text beside the pictures.", "ultralytics", ""),
-        Exporter("cityscapes", "Label and instance ids of every picture.", "cityscapesscripts", "planar"),
+        Exporter("cityscapes", "Label and instance ids of every picture.", "cityscapesscripts", "planar", boxes=False),
         Exporter(
             "foggy-cityscapes",
             "Clear pictures, foggy ones by their extinction (`_beta_`), transmittance, label and instance ids.",
             "cityscapesscripts",
             "planar; transmittance is along the ray",
+            boxes=False,
         ),
         Exporter(
             "vkitti2",
@@ -75,7 +94,13 @@ EXPORTERS = {
             "its published loaders",
             "planar",
         ),
-        Exporter("reside", "Clear and hazy pairs with transmittance (ITS).", "loaders of RESIDE", "along the ray"),
+        Exporter(
+            "reside",
+            "Clear and hazy pairs with transmittance (ITS).",
+            "loaders of RESIDE",
+            "along the ray",
+            boxes=False,
+        ),
         Exporter("webdataset", "Tar shards, to a folder or any URL of fsspec.", "webdataset", "planar"),
         Exporter("huggingface", "An image folder with metadata.jsonl.", "datasets", "planar"),
     )

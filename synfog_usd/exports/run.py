@@ -13,10 +13,13 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.exports import croissant, taxonomy, webdataset
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture, pictures
-from synfog_usd.exports.record import Drop, Exporter
+from synfog_usd.exports.record import EXPORTERS, Choice, Exporter
 from synfog_usd.progress import Progress, silent
 
 UNSTATED = "not stated"
+
+STANDARD = Choice(drop=("invisible",))
+"""Boxes of all that a camera can see."""
 
 
 @dataclass
@@ -37,7 +40,7 @@ class Census:
         self.classes, self.visibilities = Counter[str](), Counter[str]()
         self.scenes: dict[str, set[int]] = {}
 
-    def count(self, picture: LabelledPicture, drop: Drop) -> int:
+    def count(self, picture: LabelledPicture, chosen: Choice) -> int:
         """Add a picture; gives its things that have boxes."""
         self.pictures += 1
         self.splits[picture.split] += 1
@@ -46,9 +49,9 @@ class Census:
         self.sources[picture.source] += 1
         self.scenes.setdefault(picture.split, set()).add(picture.scene)
         kept = 0
-        for row in taxonomy.things(picture):
+        for row in taxonomy.things(picture, Choice(classes=chosen.classes)):
             self.visibilities[row.get("visibility") or "unknown"] += 1
-            if row.get("visibility") in drop:
+            if row.get("visibility") in chosen.drop:
                 self.dropped += 1
             else:
                 self.classes[row["label"]] += 1
@@ -62,7 +65,7 @@ def export(
     one: Exporter,
     target: Path,
     *,
-    drop: Drop = ("invisible",),
+    chosen: Choice = STANDARD,
     licence: str = UNSTATED,
     url: str | None = None,
     progress: Progress = silent,
@@ -73,18 +76,21 @@ def export(
         out: folder of the set or of the bake.
         one: the format.
         target: folder to be filled.
-        drop: words of `visibility` whose things get no box.
+        chosen: things that get a box.
         licence: of the pictures, a URL or an SPDX name.
         url: where tar shards go, instead of the folder; of fsspec.
         progress: told how far it is.
 
     Raises:
-        SynfogError: no set, damaged labels, a folder that cannot be written.
+        SynfogError: no set, damaged labels, a folder that cannot be written; classes for a format without boxes.
     """
     if target.resolve() == out.resolve() or target.resolve() in out.resolve().parents:
         raise ParameterError(f"--to {target}: that holds the set itself; choose a folder of its own")
     if url is not None and one.name != "webdataset":
         raise ParameterError(f"--to {url}: only --as webdataset writes to a URL; choose a folder")
+    if chosen.classes and not one.boxes:
+        boxed = ", ".join(name for name, other in EXPORTERS.items() if other.boxes)
+        raise ParameterError(f"--classes: {one.name} labels every pixel and has no boxes to choose; {boxed} have")
     total = sum(1 for _ in pictures(out))
     if not total:
         raise ParameterError(f"{out}: no picture is finished; make some first")
@@ -98,12 +104,12 @@ def export(
             done += 1
             progress(f"{one.name}: {picture.name}", min(0.99, 0.8 * done / total))
 
-    notes = webdataset.write(told, folder, drop, url) if url is not None else one.write(told, folder, drop)
+    notes = webdataset.write(told, folder, chosen, url) if url is not None else one.write(told, folder, chosen)
     census = Census()
 
     def rows() -> Iterator[dict[str, Any]]:
         for picture in pictures(out):
-            yield {**picture.metadata(), "things": census.count(picture, drop)}
+            yield {**picture.metadata(), "things": census.count(picture, chosen)}
 
     folder.table("pictures.csv", rows())
     first = next(iter(pictures(out)))
@@ -113,17 +119,25 @@ def export(
         "croissant.json",
         croissant.record(target, name=name, what=one.what, licence=licence, columns=columns, pictures=census.pictures),
     )
-    folder.text("README.md", card(name, one, census, notes, folder, drop=drop, licence=licence))
+    folder.text("README.md", card(name, one, census, notes, folder, chosen=chosen, licence=licence))
     progress("done", 1.0)
     return census
 
 
 def card(
-    name: str, one: Exporter, census: Census, notes: Iterable[str], folder: ExportFolder, *, drop: Drop, licence: str
+    name: str,
+    one: Exporter,
+    census: Census,
+    notes: Iterable[str],
+    folder: ExportFolder,
+    *,
+    chosen: Choice,
+    licence: str,
 ) -> str:
     """The data card, from the numbers alone."""
     scenes = ", ".join(f"{split} {len(numbers)}" for split, numbers in census.scenes.items())
-    kept = ", ".join(drop) or "none"
+    gone = ", ".join(chosen.drop) or "none"
+    classes = [f"- Boxes are of {', '.join(chosen.classes)} alone; other things have none."] if chosen.classes else []
     lines = [
         *(["---", f"pretty_name: {name}", "---", ""] if one.name == "huggingface" else []),
         f"# {name}",
@@ -139,12 +153,13 @@ def card(
         f"| fogs | {_counts(census.fogs)} |",
         f"| boxes | {census.things} ({_counts(census.classes)}) |",
         f"| what fog and noise leave of things | {_counts(census.visibilities)} |",
-        f"| without a box | {census.dropped} things ({kept}) |",
+        f"| without a box | {census.dropped} things ({gone}) |",
         f"| depth | {one.depth or 'none'} |",
         f"| licence | {licence} |",
         "",
         "## What to know",
         *(f"- {note}" for note in notes),
+        *classes,
         "- Labels are of clear air, from the ray through each pixel's centre. A thing is `visible` from a contrast of "
         "5 % (WMO-No. 8) and a contrast-to-noise ratio of 5 (Rose 1948) on, `invisible` below a ratio of 1.",
         "- RAW pairs of one scene and lighting share geometry, exposure, white balance and the sensor's fixed "

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from synfog_usd.cityscapes import LABELS, Label
+from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Drop
+from synfog_usd.exports.record import EVERY, Choice
 
 THINGS: tuple[Label, ...] = tuple(
     kind for kind in LABELS.values() if kind.has_instances or kind.name in ("traffic light", "traffic sign")
@@ -17,10 +18,33 @@ THINGS: tuple[Label, ...] = tuple(
 NAMES = frozenset(kind.name for kind in THINGS)
 
 
-def things(picture: LabelledPicture, drop: Drop = ()) -> Iterator[dict[str, Any]]:
+def kinds(chosen: Choice = EVERY) -> tuple[Label, ...]:
+    """Classes that may have boxes: all of `THINGS` in its order, or those that are named, in theirs."""
+    by_name = {kind.name: kind for kind in THINGS}
+    return tuple(by_name[name] for name in chosen.classes) if chosen.classes else THINGS
+
+
+def class_names(words: Sequence[str]) -> tuple[str, ...]:
+    """Names of classes as they are, each once.
+
+    Raises:
+        ParameterError: one is no class of Cityscapes, or one whose instances nobody counts.
+    """
+    for word in words:
+        if word in NAMES:
+            continue
+        known = {kind.name for kind in LABELS.values()}
+        what = "has no instances, only pixels" if word in known else "is no class of Cityscapes"
+        near = "" if word in known else did_you_mean(word, sorted(NAMES))
+        raise ParameterError(f"--classes: {word!r} {what}; it takes {', '.join(kind.name for kind in THINGS)}.{near}")
+    return tuple(dict.fromkeys(words))
+
+
+def things(picture: LabelledPicture, chosen: Choice = EVERY) -> Iterator[dict[str, Any]]:
     """The instances of a picture that get boxes."""
+    names = {kind.name for kind in kinds(chosen)}
     for row in picture.instances():
-        if row["label"] in NAMES and row.get("visibility") not in drop:
+        if row["label"] in names and row.get("visibility") not in chosen.drop:
             yield row
 
 

@@ -15,7 +15,7 @@ from synfog_usd.exports import kitti, taxonomy
 from synfog_usd.exports.cityscapes import Names
 from synfog_usd.exports.folder import ExportFolder, quantised
 from synfog_usd.exports.frames import LabelledPicture, plain
-from synfog_usd.exports.record import Drop
+from synfog_usd.exports.record import Choice
 
 STEPS_PER_M = 100.0
 HEADS = {
@@ -29,7 +29,7 @@ HEADS = {
 }
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
     """Write `SceneXX/<variant>/frames/...` and the text files of each variant; all frames of one follow each other."""
     names = Names()
     texts: dict[str, dict[str, list[str]]] = {}
@@ -63,7 +63,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         folder.png(f"{base}/classSegmentation/Camera_0/classgt_{frame:05}.png", palette[labels.semantic])
         folder.png(f"{base}/instanceSegmentation/Camera_0/instancegt_{frame:05}.png", labels.instance.astype(np.uint16))
         parts = texts.setdefault(tree, {name: [] for name in HEADS})
-        _write_rows(parts, frame, picture, drop)
+        _write_rows(parts, frame, picture, chosen)
     flush()
     return [
         "Depth is planar, uint16 in cm: what lies beyond 655.34 m is 65535, where the original has the sky too; ours "
@@ -73,14 +73,14 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     ]
 
 
-def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPicture, drop: Drop) -> None:
+def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPicture, chosen: Choice) -> None:
     camera = picture.labels.camera
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
     parts["intrinsic"].append(f"{frame} 0 {matrix[0][0]:g} {matrix[1][1]:g} {matrix[0][2]:g} {matrix[1][2]:g}\n")
     y_down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     to_camera = np.linalg.inv(y_down @ np.array(camera["camera_to_world"]))
     parts["extrinsic"].append(f"{frame} 0 " + " ".join(f"{value:.9g}" for value in to_camera.ravel()) + "\n")
-    for row in taxonomy.things(picture, drop):
+    for row in taxonomy.things(picture, chosen):
         x, y, right, bottom = taxonomy.corners(row["box_px"])
         track, moves = row["id"] - 1, row.get("speed_m_s", 0.0) > 0.0
         cut, share = row.get("truncation", 0.0), row.get("visible_share", 1.0)

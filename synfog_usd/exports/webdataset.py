@@ -19,7 +19,7 @@ from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, png_bytes, quantised
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Drop
+from synfog_usd.exports.record import Choice
 from synfog_usd.files import write_whole
 
 A_SHARD = 1000
@@ -27,7 +27,7 @@ STEPS_PER_M = 256.0
 
 
 def write(
-    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, drop: Drop, url: str | None = None
+    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice, url: str | None = None
 ) -> list[str]:
     """Write `<split>-00000.tar` and so on, to the folder or to a URL."""
     splits = list(dict.fromkeys(picture.split for picture in pictures()))
@@ -36,9 +36,9 @@ def write(
         for number, shard in enumerate(_shards(rows)):
             name = f"{split}-{number:05}.tar"
             if url is None:
-                write_whole(folder.root / name, lambda temporary, shard=shard: _write(temporary, shard, drop))
+                write_whole(folder.root / name, lambda temporary, shard=shard: _write(temporary, shard, chosen))
             else:
-                _send(f"{url.rstrip('/')}/{name}", shard, drop)
+                _send(f"{url.rstrip('/')}/{name}", shard, chosen)
     return [".depth.png is planar depth, uint16 / 256 m; 0 is the sky. .id.png is ids of instances, 0 for none."]
 
 
@@ -53,12 +53,12 @@ def _shards(pictures: Iterable[LabelledPicture]) -> Iterator[list[LabelledPictur
         yield shard
 
 
-def _write(path: Path, shard: list[LabelledPicture], drop: Drop) -> None:
+def _write(path: Path, shard: list[LabelledPicture], chosen: Choice) -> None:
     with path.open("wb") as handle, tarfile.open(fileobj=handle, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        _fill(tar, shard, drop)
+        _fill(tar, shard, chosen)
 
 
-def _send(url: str, shard: list[LabelledPicture], drop: Drop) -> None:
+def _send(url: str, shard: list[LabelledPicture], chosen: Choice) -> None:
     try:
         import fsspec
     except ImportError as error:
@@ -68,18 +68,18 @@ def _send(url: str, shard: list[LabelledPicture], drop: Drop) -> None:
             fsspec.open(url, "wb") as handle,
             tarfile.open(fileobj=handle, mode="w|", format=tarfile.USTAR_FORMAT) as tar,
         ):
-            _fill(tar, shard, drop)
+            _fill(tar, shard, chosen)
     except (OSError, ValueError, ImportError) as error:
         raise OutputError(f"{url}: cannot be written ({error})") from error
 
 
-def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], drop: Drop) -> None:
+def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Choice) -> None:
     for picture in shard:
         labels = picture.labels
         keep = ("id", "path", "label", "semantic_id", "pixels", "box_px", "distance_m", "amodal_box_px", "amodal_rle")
         keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "speed_m_s", "mean_transmittance")
         keep += ("contrast", "contrast_rms", "cnr", "visibility")
-        things = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, drop)]
+        things = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, chosen)]
         told = {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes, "instances": things}
         name = picture.name.replace(".", "_")
         ids = np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16)

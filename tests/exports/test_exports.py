@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tarfile
@@ -13,13 +14,14 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image as Picture
+from support import cli
 
 from synfog_usd.dataset import masks
 from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.exports import folder as folders
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.frames import pictures
-from synfog_usd.exports.record import EXPORTERS, exporter
+from synfog_usd.exports.record import EXPORTERS, Choice, exporter
 from synfog_usd.exports.run import export
 
 pytestmark = pytest.mark.filterwarnings(
@@ -108,9 +110,65 @@ def test_coco_can_be_evaluated(baked, exported):
 
 
 def test_nothing_is_dropped_if_nobody_asks(baked, exported):
-    out = exported("coco", drop=())
+    out = exported("coco", chosen=Choice())
     found = json.loads((out / "annotations" / "instances_all.json").read_text())
     assert len(found["annotations"]) == sum(len(kept(baked, fog, ())) for fog in baked.left)
+
+
+CARS = Choice(("invisible",), ("car", "bus"))
+
+
+def chosen(baked, fog, drop=("invisible",)):
+    return [row for row, _ in kept(baked, fog, drop) if row["label"] in CARS.classes]
+
+
+@pytest.mark.parametrize("form", [name for name, one in EXPORTERS.items() if one.boxes])
+def test_only_the_classes_that_are_asked_for_have_boxes(form, baked, exported):
+    """Counts of each format's own rows are those of labels.json; the pictures and their depth are all there."""
+    out = exported(form, chosen=CARS)
+    counts = {fog: len(chosen(baked, fog)) for fog in baked.left}
+    assert 0 < sum(counts.values()) < sum(len(kept(baked, fog)) for fog in baked.left)
+    told = dict.fromkeys(counts, 0)
+    for row in csv.DictReader((out / "pictures.csv").read_text().splitlines()):
+        told[row["fog"]] = int(row["things"])
+    assert told == counts
+    assert "Boxes are of car, bus alone" in (out / "README.md").read_text()
+    total = sum(counts.values())
+    if form == "coco":
+        found = json.loads((out / "annotations" / "instances_all.json").read_text())
+        assert len(found["annotations"]) == total
+        assert [(kind["id"], kind["name"]) for kind in found["categories"]] == [(26, "car"), (28, "bus")]
+    elif form == "yolo":
+        rows = [line.split()[0] for path in (out / "labels").rglob("*.txt") for line in path.read_text().splitlines()]
+        assert len(rows) == total and set(rows) <= {"0", "1"}
+        assert "names:\n  0: car\n  1: bus\n" in (out / "data.yaml").read_text()
+    elif form == "kitti":
+        rows = [line.split()[0] for path in out.rglob("label_2/*.txt") for line in path.read_text().splitlines()]
+        assert set(rows) <= {"Car", "Misc", "DontCare"} and len(rows) == sum(
+            len(chosen(baked, fog, ())) for fog in baked.left
+        )
+    elif form == "vkitti2":
+        assert sum(len(path.read_text().splitlines()) - 1 for path in out.rglob("bbox.txt")) == total
+    elif form == "huggingface":
+        rows = [json.loads(line) for path in out.rglob("metadata.jsonl") for line in path.read_text().splitlines()]
+        assert sum(len(row["objects"]["id"]) for row in rows) == total
+    else:
+        with tarfile.open(out / "all-00000.tar") as tar:
+            rows = [json.load(tar.extractfile(name)) for name in tar.getnames() if name.endswith(".json")]
+        assert sum(len(row["instances"]) for row in rows) == total
+
+
+@pytest.mark.parametrize(
+    ("form", "classes", "words"),
+    [
+        ("coco", "car,trcuk", r"--classes: 'trcuk' is no class of Cityscapes; it takes .* Did you mean 'truck'\?"),
+        ("yolo", "road", "--classes: 'road' has no instances, only pixels; it takes .*person, rider, car"),
+        ("cityscapes", "car", "--classes: cityscapes labels every pixel and has no boxes to choose; coco, kitti, yolo"),
+    ],
+)
+def test_classes_that_cannot_be_chosen_are_one_line(form, classes, words, baked, tmp_path):
+    done = cli.run("dataset", "export", baked.folder, "--as", form, "--to", tmp_path / "out", "--classes", classes)
+    assert done.returncode == 2 and re.search(words, done.stderr) and done.stderr.count("\n") == 1
 
 
 def test_kitti_has_the_devkits_columns(baked, exported):
