@@ -8,7 +8,7 @@ from pathlib import Path
 from synfog_usd.cli.progress import shown
 from synfog_usd.errors import ParameterError
 from synfog_usd.exports import run, taxonomy
-from synfog_usd.exports.record import Choice, exporter
+from synfog_usd.exports.record import Boxed, exporter
 
 DROPS = {"none": (), "invisible": ("invisible",), "faint": ("invisible", "faint")}
 
@@ -21,7 +21,7 @@ def export(
     if drop not in DROPS:
         raise ParameterError(f"--drop {drop}: one of {', '.join(DROPS)}")
     words = [word.strip() for word in classes.split(",") if word.strip()]
-    chosen = Choice(DROPS[drop], taxonomy.class_names(words))
+    chosen = Boxed(DROPS[drop], taxonomy.class_names(words))
     url = to if to is not None and run.is_url(to) else None
     target = Path(to) if to is not None and url is None else out.resolve().with_name(f"{out.resolve().name}-{form}")
     with shown(quiet) as (progress, _):

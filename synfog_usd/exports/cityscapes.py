@@ -15,7 +15,7 @@ from synfog_usd.cityscapes import LABELS
 from synfog_usd.exports.folder import ExportFolder, quantised
 from synfog_usd.exports.frames import LabelledPicture, Labels, plain
 from synfog_usd.exports.outlines import outlines
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 BY_ID = {kind.id: kind for kind in LABELS.values()}
 MOST = 1000
@@ -26,7 +26,7 @@ BASELINE_M = 0.209313
 """Of the stereo cameras of Cityscapes, by its camera files."""
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `leftImg8bit`, `gtFine`, `depth`, `disparity` and `camera`."""
     names = Names()
     for picture in pictures():

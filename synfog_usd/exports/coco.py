@@ -16,7 +16,7 @@ from synfog_usd.dataset import masks
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 from synfog_usd.files import write_whole
 
 EXTRAS = (
@@ -37,7 +37,7 @@ EXTRAS = (
 )
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `images/<split>/*` and `annotations/instances_<split>.json`."""
     splits = list(dict.fromkeys(picture.split for picture in pictures()))
     for split in splits:
@@ -52,7 +52,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
 
 
 def _write_split(
-    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice, split: str, handle: IO[str]
+    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed, split: str, handle: IO[str]
 ) -> None:
     """The annotations as they come, then the shorter list of pictures; memory does not grow with the annotations."""
     images: list[dict[str, Any]] = []

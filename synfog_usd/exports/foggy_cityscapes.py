@@ -13,10 +13,10 @@ import numpy as np
 from synfog_usd.exports.cityscapes import TOLD, Names, write_ground_truth
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture, plain
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `leftImg8bit`, `leftImg8bit_foggy`, `leftImg8bit_transmittance`, `gtFine`, `depth` and `camera`."""
     names = Names()
     labelled: set[str] = set()

@@ -14,14 +14,14 @@ import numpy as np
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, jsonl, quantised
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 from synfog_usd.files import write_whole
 
 STEPS_PER_M = 256.0
 OF_FLOAT = ("distance_m", "visible_share", "truncation", "mean_transmittance", "contrast", "cnr")
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `data/<split>/*`, `data/<split>/metadata.jsonl` and `labels/<split>/*_{depth,id,class}.png`."""
 
     def rows(split: str) -> Iterator[dict[str, Any]]:

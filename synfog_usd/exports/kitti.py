@@ -17,7 +17,7 @@ import numpy as np
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, quantised
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 TYPES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "rider": "Cyclist", "train": "Tram"}
 MISC = "Misc"
@@ -31,7 +31,7 @@ LIDAR_TO_CAMERA = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
 """x forward, y left, z up, to x right, y down, z forward."""
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `<split>/{image_2,label_2,calib,depth_2}/000000.*` and `<split>/names.txt`."""
     names: dict[str, list[str]] = {}
     for picture in pictures():
@@ -43,7 +43,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         folder.place(picture.screen, f"{picture.split}/image_2/{stem}{picture.screen.suffix}")
         rows = [
             _row(row, MISC if row.get("visibility") not in chosen.drop else "DontCare")
-            for row in taxonomy.things(picture, Choice(classes=chosen.classes))
+            for row in taxonomy.things(picture, Boxed(classes=chosen.classes))
         ]
         folder.text(f"{picture.split}/label_2/{stem}.txt", "".join(rows))
         folder.text(f"{picture.split}/calib/{stem}.txt", _calibration(labels.camera))

@@ -12,7 +12,7 @@ from synfog_usd.exports.frames import LabelledPicture
 
 
 @dataclass(frozen=True)
-class Choice:
+class Boxed:
     """Which instances get a box.
 
     Attributes:
@@ -25,7 +25,7 @@ class Choice:
     classes: tuple[str, ...] = ()
 
 
-EVERY = Choice()
+EVERY = Boxed()
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Exporter:
         return f"synfog_usd.exports.{self.name.replace('-', '_')}"
 
     def write(
-        self, pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice
+        self, pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed
     ) -> list[str]:
         """Write all pictures.
 

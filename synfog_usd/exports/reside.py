@@ -11,10 +11,10 @@ import numpy as np
 
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `<split>/{clear,hazy,trans}/*` and `<split>/ids.csv`."""
     number: dict[tuple[object, ...], int] = {}
     fogs: dict[tuple[object, ...], int] = {}

@@ -13,12 +13,12 @@ from synfog_usd.errors import ParameterError
 from synfog_usd.exports import croissant, taxonomy, webdataset
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture, pictures
-from synfog_usd.exports.record import EXPORTERS, Choice, Exporter
+from synfog_usd.exports.record import EXPORTERS, Boxed, Exporter
 from synfog_usd.progress import Progress, silent
 
 UNSTATED = "not stated"
 
-STANDARD = Choice(drop=("invisible",))
+STANDARD = Boxed(drop=("invisible",))
 """Boxes of all that a camera can see."""
 
 
@@ -40,7 +40,7 @@ class Census:
         self.classes, self.visibilities = Counter[str](), Counter[str]()
         self.scenes: dict[str, set[int]] = {}
 
-    def count(self, picture: LabelledPicture, chosen: Choice) -> int:
+    def count(self, picture: LabelledPicture, chosen: Boxed) -> int:
         """Add a picture; gives its things that have boxes."""
         self.pictures += 1
         self.splits[picture.split] += 1
@@ -49,7 +49,7 @@ class Census:
         self.sources[picture.source] += 1
         self.scenes.setdefault(picture.split, set()).add(picture.scene)
         kept = 0
-        for row in taxonomy.things(picture, Choice(classes=chosen.classes)):
+        for row in taxonomy.things(picture, Boxed(classes=chosen.classes)):
             self.visibilities[row.get("visibility") or "unknown"] += 1
             if row.get("visibility") in chosen.drop:
                 self.dropped += 1
@@ -65,7 +65,7 @@ def export(
     one: Exporter,
     target: Path,
     *,
-    chosen: Choice = STANDARD,
+    chosen: Boxed = STANDARD,
     licence: str = UNSTATED,
     url: str | None = None,
     progress: Progress = silent,
@@ -131,7 +131,7 @@ def card(
     notes: Iterable[str],
     folder: ExportFolder,
     *,
-    chosen: Choice,
+    chosen: Boxed,
     licence: str,
 ) -> str:
     """The data card, from the numbers alone."""

@@ -8,7 +8,7 @@ from typing import Any
 from synfog_usd.cityscapes import LABELS, Label
 from synfog_usd.errors import ParameterError, did_you_mean
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import EVERY, Choice
+from synfog_usd.exports.record import EVERY, Boxed
 
 THINGS: tuple[Label, ...] = tuple(
     kind for kind in LABELS.values() if kind.has_instances or kind.name in ("traffic light", "traffic sign")
@@ -18,7 +18,7 @@ THINGS: tuple[Label, ...] = tuple(
 NAMES = frozenset(kind.name for kind in THINGS)
 
 
-def kinds(chosen: Choice = EVERY) -> tuple[Label, ...]:
+def kinds(chosen: Boxed = EVERY) -> tuple[Label, ...]:
     """Classes that may have boxes: all of `THINGS` in its order, or those that are named, in theirs."""
     by_name = {kind.name: kind for kind in THINGS}
     return tuple(by_name[name] for name in chosen.classes) if chosen.classes else THINGS
@@ -40,7 +40,7 @@ def class_names(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def things(picture: LabelledPicture, chosen: Choice = EVERY) -> Iterator[dict[str, Any]]:
+def things(picture: LabelledPicture, chosen: Boxed = EVERY) -> Iterator[dict[str, Any]]:
     """The instances of a picture that get boxes."""
     names = {kind.name for kind in kinds(chosen)}
     for row in picture.instances():

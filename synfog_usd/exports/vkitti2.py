@@ -15,7 +15,7 @@ from synfog_usd.exports import kitti, taxonomy
 from synfog_usd.exports.cityscapes import Names
 from synfog_usd.exports.folder import ExportFolder, quantised
 from synfog_usd.exports.frames import LabelledPicture, plain
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 STEPS_PER_M = 100.0
 HEADS = {
@@ -29,7 +29,7 @@ HEADS = {
 }
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `SceneXX/<variant>/frames/...` and the text files of each variant; all frames of one follow each other."""
     names = Names()
     texts: dict[str, dict[str, list[str]]] = {}
@@ -73,7 +73,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     ]
 
 
-def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPicture, chosen: Choice) -> None:
+def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPicture, chosen: Boxed) -> None:
     camera = picture.labels.camera
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
     parts["intrinsic"].append(f"{frame} 0 {matrix[0][0]:g} {matrix[1][1]:g} {matrix[0][2]:g} {matrix[1][2]:g}\n")

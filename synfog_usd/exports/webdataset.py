@@ -19,7 +19,7 @@ from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, png_bytes, quantised
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 from synfog_usd.files import write_whole
 
 A_SHARD = 1000
@@ -27,7 +27,7 @@ STEPS_PER_M = 256.0
 
 
 def write(
-    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice, url: str | None = None
+    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed, url: str | None = None
 ) -> list[str]:
     """Write `<split>-00000.tar` and so on, to the folder or to a URL."""
     splits = list(dict.fromkeys(picture.split for picture in pictures()))
@@ -53,12 +53,12 @@ def _shards(pictures: Iterable[LabelledPicture]) -> Iterator[list[LabelledPictur
         yield shard
 
 
-def _write(path: Path, shard: list[LabelledPicture], chosen: Choice) -> None:
+def _write(path: Path, shard: list[LabelledPicture], chosen: Boxed) -> None:
     with path.open("wb") as handle, tarfile.open(fileobj=handle, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         _fill(tar, shard, chosen)
 
 
-def _send(url: str, shard: list[LabelledPicture], chosen: Choice) -> None:
+def _send(url: str, shard: list[LabelledPicture], chosen: Boxed) -> None:
     try:
         import fsspec
     except ImportError as error:
@@ -73,7 +73,7 @@ def _send(url: str, shard: list[LabelledPicture], chosen: Choice) -> None:
         raise OutputError(f"{url}: cannot be written ({error})") from error
 
 
-def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Choice) -> None:
+def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Boxed) -> None:
     for picture in shard:
         labels = picture.labels
         keep = ("id", "path", "label", "semantic_id", "pixels", "box_px", "distance_m", "amodal_box_px", "amodal_rle")

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder
 from synfog_usd.exports.frames import LabelledPicture
-from synfog_usd.exports.record import Choice
+from synfog_usd.exports.record import Boxed
 
 
-def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Choice) -> list[str]:
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
     """Write `images/<split>/*`, `labels/<split>/*.txt` and `data.yaml`."""
     number = {kind.name: index for index, kind in enumerate(taxonomy.kinds(chosen))}
     splits: dict[str, None] = {}

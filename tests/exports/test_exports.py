@@ -21,7 +21,7 @@ from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.exports import folder as folders
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.frames import pictures
-from synfog_usd.exports.record import EXPORTERS, Choice, exporter
+from synfog_usd.exports.record import EXPORTERS, Boxed, exporter
 from synfog_usd.exports.run import export
 
 pytestmark = pytest.mark.filterwarnings(
@@ -110,12 +110,12 @@ def test_coco_can_be_evaluated(baked, exported):
 
 
 def test_nothing_is_dropped_if_nobody_asks(baked, exported):
-    out = exported("coco", chosen=Choice())
+    out = exported("coco", chosen=Boxed())
     found = json.loads((out / "annotations" / "instances_all.json").read_text())
     assert len(found["annotations"]) == sum(len(kept(baked, fog, ())) for fog in baked.left)
 
 
-CARS = Choice(("invisible",), ("car", "bus"))
+CARS = Boxed(("invisible",), ("car", "bus"))
 
 
 def chosen(baked, fog, drop=("invisible",)):
