@@ -22,6 +22,8 @@ from synfog_usd.sets.run import run as make
 from synfog_usd.sets.work import Child, told
 
 if TYPE_CHECKING:
+    from synfog_usd.sets.cost import Count
+    from synfog_usd.sets.definition import SetDefinition
     from synfog_usd.sets.status import Status
 
 WATCH_S = 2.0
@@ -29,34 +31,41 @@ CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), worker.MARK)
 
 
 def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:
-    """Print what a set holds and takes."""
+    """Print what a set holds, at once, and then what it takes, which small units have to tell."""
     from synfog_usd.sets import cost
 
     found = offers.known(load_set(file), _offers)
     counted, expected = cost.count(found), None
+    if not as_json:
+        _print_count(found, counted)
     try:
-        with shown(quiet) as (progress, _), worker.stopped_by_sigterm():
+        with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
             if probe:
+                log(
+                    "small units are made to tell disk, time and memory; Ctrl-C ends that, --no-probe leaves it out"
+                )
                 expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
     except KeyboardInterrupt:
         raise typer.Exit(worker.INTERRUPTED) from None
     if as_json:
         plain = dataclasses.asdict(counted) | ({"estimate": dataclasses.asdict(expected)} if expected else {})
         print(json.dumps(plain, indent=2))
-        return
-    units = ", ".join(f"{number} in {lighting}" for lighting, number in counted.units.items())
-    print(f"{found.name}: {found.about}")
-    print(f"  scenes    {counted.scenes} ({', '.join(f'{number} {name}' for name, number in counted.splits.items())})")
-    print(f"  drawn of  {', '.join(f'{number} {name}' for name, number in counted.sources.items())}")
-    print(f"  units     {sum(counted.units.values())} of a scene and lighting: {units}")
-    print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files")
-    if expected:
+    elif expected:
         print(f"  disk      {expected.gigabytes:.3g} GB")
         print(
             f"  time      {_hours(expected.hours)} with {expected.workers} units at a time; "
             f"{_hours(expected.cpu_h)} of processor time, give or take {100 * expected.unsure:.0f} %"
         )
         print(f"  memory    {expected.peak_mb / 1000:.2g} GB a unit")
+
+
+def _print_count(found: SetDefinition, counted: Count) -> None:
+    units = ", ".join(f"{number} in {lighting}" for lighting, number in counted.units.items())
+    print(f"{found.name}: {found.about}".removesuffix(": "))
+    print(f"  scenes    {counted.scenes} ({', '.join(f'{number} {name}' for name, number in counted.splits.items())})")
+    print(f"  drawn of  {', '.join(f'{number} {name}' for name, number in counted.sources.items())}")
+    print(f"  units     {sum(counted.units.values())} of a scene and lighting: {units}")
+    print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files", flush=True)
 
 
 def _offers(stages: Sequence[Path]) -> dict[Path, offers.Offer]:

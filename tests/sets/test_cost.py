@@ -220,6 +220,8 @@ def test_a_plan_that_is_ended_leaves_no_probe_behind(monkeypatch, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     before = signal.getsignal(signal.SIGTERM)
     done = run("dataset", "plan", "mini")
+    assert "48, as 48 pictures in 300 files" in done.stdout  # counts are there before any probe is
+    assert "--no-probe leaves it out" in done.stderr
     assert done.returncode == 130 and any(name.startswith("synfog-probe-") for name in seen)
     assert not list(tmp_path.iterdir()) and signal.getsignal(signal.SIGTERM) is before
 
