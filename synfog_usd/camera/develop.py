@@ -37,11 +37,7 @@ def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:
         GraphError: with file, line and column.
         ParameterError: a fault in a sensor or lens profile.
     """
-    shipped = resources.folder("pipeline") / f"{path}.yaml"
-    return engine.load_graph(
-        shipped if path.parent == Path() and not path.suffix and not path.exists() and shipped.is_file() else path,
-        registry,
-    )
+    return engine.load_graph(resources.named(path, "pipeline"), registry)
 
 
 def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = None) -> Image:

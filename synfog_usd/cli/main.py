@@ -424,7 +424,7 @@ def chart(
 
 @app.command()
 def compose(
-    recipe: Annotated[Path, typer.Argument(help="YAML recipe, as stages/recipes/residential.yaml.")],
+    recipe: Annotated[Path, typer.Argument(help="YAML recipe, or the name of one that ships, as residential.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
     change: options.Changes = None,
@@ -445,7 +445,9 @@ def compose(
 
 @app.command()
 def contact(
-    recipe: Annotated[Path, typer.Argument(help="YAML recipe, or a folder of them: seeds go round.")],
+    recipe: Annotated[
+        Path, typer.Argument(help="YAML recipe, one that ships by its name, or a folder: seeds go round.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")],
     seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15",
     lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky",

@@ -24,7 +24,9 @@ def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 Stage = Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")]
-Pipeline = Annotated[Path | None, typer.Option(help="YAML node graph; the shipped phone if left out.")]
+Pipeline = Annotated[
+    Path | None, typer.Option(help="YAML node graph, or one that ships by its name; phone if left out.")
+]
 Lightings = Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")]
 Fogs = Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")]
 Camera = Annotated[str | None, typer.Option(help="Prim path of the camera.")]
@@ -74,7 +76,7 @@ Allow = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Resolution = Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")]
-Graph = Annotated[Path, typer.Argument(help="YAML node graph.")]
+Graph = Annotated[Path, typer.Argument(help="YAML node graph, or the name of one that ships, as phone.")]
 SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
 Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
 Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")]

@@ -12,6 +12,7 @@ from typing import Any
 
 import typer
 
+from synfog_usd import resources
 from synfog_usd.cli import terminal, worker
 from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.plan import BakePlan
@@ -99,7 +100,7 @@ def _made_of(plan: BakePlan) -> list[Path]:
     """Files that a save of which may change the pictures: those that the stage tells, or all layers beside it."""
     from synfog_usd import stage as usd
 
-    mine = [plan.stage, *([plan.pipeline] if plan.pipeline else [])]
+    mine = [plan.stage, resources.named(plan.pipeline or Path("phone"), "pipeline")]
     try:
         with worker.reading_limits():
             return [*mine, *usd.dependencies(usd.open_stage(plan.stage, allow=plan.allow))]

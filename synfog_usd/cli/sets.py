@@ -41,9 +41,7 @@ def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: b
     try:
         with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
             if probe:
-                log(
-                    "small units are made to tell disk, time and memory; Ctrl-C ends that, --no-probe leaves it out"
-                )
+                log("small units are made to tell disk, time and memory; Ctrl-C ends that, --no-probe leaves it out")
                 expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
     except KeyboardInterrupt:
         raise typer.Exit(worker.INTERRUPTED) from None

@@ -15,9 +15,10 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import files, resources, system
+from synfog_usd import files, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
@@ -112,7 +113,7 @@ def bake(
     bake_began = time.monotonic()
     models.check_name(plan.model)
     backend.begin(plan.variant)  # type: ignore[arg-type]
-    graph = camera.load_graph(plan.pipeline or resources.folder("pipeline") / "phone.yaml")
+    graph = camera.load_graph(plan.pipeline or Path("phone"))
     for name, port in graph.inputs.items():
         if port.quantity is not Quantity.RADIANCE:
             raise GraphError(

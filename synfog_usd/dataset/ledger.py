@@ -52,7 +52,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
     """Everything that the pixels depend on; its hash tells whether a finished shot is still the right one."""
     return {
         "stage": {"name": plan.stage.name, "sha256": stage_hash},
-        "pipeline": {"name": plan.pipeline.name if plan.pipeline else "phone.yaml", "sha256": graph_hash},
+        "pipeline": {"name": f"{plan.pipeline.stem if plan.pipeline else 'phone'}.yaml", "sha256": graph_hash},
         "plan": {
             "camera": plan.camera,
             "frame": plan.frame,

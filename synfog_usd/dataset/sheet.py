@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from synfog_usd import files
+from synfog_usd import files, resources
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.errors import ParameterError
@@ -114,9 +114,9 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
 
 
 def recipes_of(path: Path) -> tuple[Path, ...]:
-    """A recipe, or all of a folder by name."""
+    """A recipe by its path or its name, or all of a folder."""
     if not path.is_dir():
-        return (path,)
+        return (resources.named(path, "recipe"),)
     found: Sequence[Path] = sorted(path.glob("*.yaml"))
     if not found:
         raise ParameterError(f"{path}: no recipe (.yaml) in this folder")

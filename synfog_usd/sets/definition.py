@@ -150,7 +150,7 @@ def load_set(path: Path) -> SetDefinition:
     Raises:
         SetError, RecipeError: with file, line and column of what is wrong.
     """
-    path = _shipped(path)
+    path = resources.named(path, "data set")
     return _SetReader(path.stem, path.parent).read(load_file(path, error=SetError))
 
 
@@ -175,18 +175,7 @@ def make_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDe
 
 def shipped() -> dict[str, Path]:
     """The sets that ship, by name."""
-    return {path.stem: path for path in sorted((resources.folder("stages") / "datasets").glob("*.yaml"))}
-
-
-def _shipped(path: Path) -> Path:
-    if path.suffix or path.exists():
-        return path
-    if str(path) not in shipped():
-        raise SetError(
-            f"{path}: no such file, and no set of this name ships; there are "
-            f"{', '.join(shipped())}.{did_you_mean(str(path), shipped())}"
-        )
-    return shipped()[str(path)]
+    return resources.shipped("data set")
 
 
 class _SetReader:
@@ -280,7 +269,7 @@ class _SetReader:
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes a list of names, or {{name: share, ...}}")
 
     def recipes(self, item: Located) -> tuple[Source, ...]:
-        known = {path.stem: path for path in sorted((resources.folder("stages") / "recipes").glob("*.yaml"))}
+        known = resources.shipped("recipe")
         found = []
         for name, part, entry in self.shares(item, "recipes"):
             path = self.file(entry, "recipes", known, "recipes", name)
@@ -344,7 +333,7 @@ class _SetReader:
         return tuple(found)
 
     def pipelines(self, item: Located) -> tuple[Path, ...]:
-        known = {path.stem: path for path in sorted(resources.folder("pipeline").glob("*.yaml"))}
+        known = resources.shipped("pipeline")
         found = [self.file(entry, "pipelines", known, "pipeline") for entry in entries(item, "pipelines")]
         if len({path.stem for path in found}) < len(found):
             raise SetError(f"{item.place}: pipelines: two have the same name; their folders would be one")

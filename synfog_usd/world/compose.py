@@ -26,12 +26,13 @@ def load(path: Path, changes: Sequence[str] = ()) -> Recipe:
     """Read a recipe.
 
     Args:
-        path: the file.
+        path: the file, or the name of a recipe that ships: 'residential'.
         changes: 'section.key=value' each, over what stands in the file.
 
     Raises:
         RecipeError: not YAML, or a section, key or value that is not known, with its place.
     """
+    path = resources.named(path, "recipe")
     return parameters.read(load_root(path, changes), path.name)
 
 

@@ -1,0 +1,43 @@
+"""What ships is taken by its name, wherever a file of its kind is."""
+
+from pathlib import Path
+
+import pytest
+from support.cli import run
+
+from synfog_usd import camera, resources
+from synfog_usd.errors import GraphError, RecipeError, SetError
+from synfog_usd.sets.definition import load_set
+from synfog_usd.world.compose import load
+
+KINDS = [("recipe", load, RecipeError), ("data set", load_set, SetError), ("pipeline", camera.load_graph, GraphError)]
+
+
+@pytest.mark.parametrize("kind, read, error", KINDS)
+def test_a_bare_name_is_what_ships_and_a_path_is_a_file(kind, read, error, tmp_path, monkeypatch):
+    """From any folder, also one with a folder of that name, as a bake leaves; a name or file that is not there is told
+    with those that are.
+    """
+    monkeypatch.chdir(tmp_path)
+    for name in resources.shipped(kind):
+        assert resources.named(Path(name), kind).stem == name
+    name, path = next(iter(resources.shipped(kind).items()))
+    (tmp_path / name).mkdir()
+    read(Path(name))
+    read(path)
+    (tmp_path / "own.yaml").write_text("no: such format\n")
+    assert resources.named(Path("own.yaml"), kind) == Path("own.yaml")
+    for wrong in (f"{name}x", f"{name}x.yaml", f"{name}.yaml"):
+        with pytest.raises(error, match=rf"{wrong}: no such file, and no {kind} .* Did you mean '{name}'\?"):
+            read(Path(wrong))
+    with pytest.raises(error, match="no such file"):
+        read(tmp_path / "elsewhere" / name)
+
+
+def test_compose_and_contact_take_the_name_of_a_recipe(tmp_path):
+    """As `dataset` does, from another folder; a name that is none is one line and exit code 2."""
+    done = run("compose", "tunnel", "--seed", "3", "-o", "drawn.usda", cwd=tmp_path)
+    assert done.returncode == 0 and (tmp_path / "drawn.usda").is_file(), done.stderr
+    for verb in (["compose", "tunnell", "--seed", "3", "-o", "a.usda"], ["contact", "tunnell", "-o", "a.png"]):
+        done = run(*verb, cwd=tmp_path)
+        assert done.returncode == 2 and "Did you mean 'tunnel'?" in done.stderr and done.stderr.count("\n") == 1
