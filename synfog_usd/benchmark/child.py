@@ -157,7 +157,7 @@ def _torch_module(method: Defogger) -> tuple[Callable[[np.ndarray], Any], tuple[
     try:
         import torch
     except ImportError:
-        raise ValueError("a torch module needs PyTorch: pip install 'synfog-usd[train]'") from None
+        raise ValueError("a torch module needs PyTorch: pip install torch") from None
     torch.set_num_threads(threads(method))
     path = Path(method.target)
     if path.suffix == ".pt2":

@@ -113,7 +113,7 @@ def match(pictures: int, true: Sequence[TrueBox], found: Sequence[FoundBox], ran
         from pycocotools.coco import COCO
         from pycocotools.cocoeval import COCOeval
     except ImportError as error:
-        raise ParameterError("detectors are measured by pycocotools: pip install 'synfog-usd[benchmark]'") from error
+        raise ParameterError("detectors are measured by pycocotools: pip install pycocotools") from error
     kinds = sorted({one.kind for one in (*true, *found)})
 
     def dataset(rows: list[dict[str, Any]]) -> Any:

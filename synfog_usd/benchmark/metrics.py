@@ -22,8 +22,8 @@ Picture = npt.NDArray[np.uint8]
 
 LPIPS_WANTING = "lpips: not measured; its network's weights are in no installable package"
 
-PACKAGES = {"pyfade": "fade-python"}
-"""What brings a metric's library where the extra 'benchmark' does not: its licence is for research."""
+PACKAGES = {"pyfade": "fade-python", "flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
+"""What brings a metric's library; the licence of the first is for research, so it is in no extra."""
 
 
 SSIM_WINDOW_PX = 11

@@ -105,7 +105,7 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
     missing = [name for name in metrics.METRICS if name not in metrics.usable()]
     lines += ["", "Metrics: " + "; ".join(f"{_title(n)} ({metrics.METRICS[n].source})" for n in names) + "."]
     for name in missing:
-        package = metrics.PACKAGES.get(metrics.METRICS[name].module, "'synfog-usd[benchmark]'")
+        package = metrics.PACKAGES[metrics.METRICS[name].module]
         lines.append(f"{name}: not measured; pip install {package} brings it.")
     lines += [f"{metrics.LPIPS_WANTING}.", ""]
     return "\n".join(lines)

@@ -312,8 +312,7 @@ def _intensity(index: float, sizes: Array, numbers: Array, cosines: Array) -> Ar
         miepython: Any = importlib.import_module("miepython")
     except ImportError as missing:
         raise ParameterError(
-            'the phase function of Lorenz and Mie needs miepython; pip install "synfog-usd[mie]", or use phase '
-            '"droplets"'
+            'the phase function of Lorenz and Mie needs miepython; pip install miepython, or use phase "droplets"'
         ) from missing
     a_n, b_n = zip(*[miepython.coefficients(index, size) for size in sizes], strict=True)
     terms = max(len(row) for row in a_n)

@@ -46,7 +46,7 @@ LLVM_DISTRIBUTION = "karellen-llvm-core"
 
 INSTALL_LLVM = (
     "install libLLVM (Debian and Ubuntu: apt install libllvm19; without root, on x86-64 Linux: pip install "
-    "'synfog-usd[llvm]')"
+    f"{LLVM_DISTRIBUTION})"
 )
 
 SCALAR_COST = f"scalar takes about twice as long for the same noise, and 10 s for the labels of 640x360; {INSTALL_LLVM}"

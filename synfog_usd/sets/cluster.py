@@ -163,7 +163,7 @@ def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
     try:
         import dask_jobqueue
     except ImportError as error:
-        raise SetError("--cluster needs dask-jobqueue: pip install 'synfog-usd[sets]'") from error
+        raise SetError("--cluster needs dask-jobqueue: pip install dask-jobqueue") from error
     root = load_file(path, error=SetError)
     items = root.value
     if not isinstance(items, dict) or "system" not in items:
@@ -218,7 +218,7 @@ def _dask() -> tuple[Any, Any]:
         import dask
         import distributed
     except ImportError as error:
-        raise SetError("data sets are made by Dask: pip install 'synfog-usd[sets]'") from error
+        raise SetError("data sets are made by Dask: pip install distributed pyarrow") from error
     return dask, distributed
 
 

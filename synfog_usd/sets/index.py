@@ -203,7 +203,7 @@ def _arrow() -> Any:
     try:
         import pyarrow
     except ImportError as error:
-        raise ParameterError("data sets need pyarrow: pip install 'synfog-usd[sets]'") from error
+        raise ParameterError("data sets need pyarrow: pip install pyarrow") from error
     return pyarrow
 
 

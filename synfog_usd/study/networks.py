@@ -26,7 +26,7 @@ def torch_library() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise ParameterError("training needs PyTorch: pip install 'synfog-usd[train]'") from error
+        raise ParameterError("training needs PyTorch: pip install torch onnxscript onnxruntime") from error
     return torch
 
 

@@ -16,7 +16,7 @@ from synfog_usd import system
 from synfog_usd.errors import OutputError
 from synfog_usd.files import write_whole
 
-INSTALL = "pip install 'synfog-usd[video]'"
+INSTALL = "pip install av"
 
 QUALITY = 30
 """SVT-AV1's constant rate factor, 0 to 63; noise is kept as far as one sees it."""

@@ -35,7 +35,21 @@ TREE = [
 OF_OTHERS = {"--background", "--find-links"}
 """Options in the pages that belong to other programs."""
 
-EXAMPLES = ("out/", "OUT/", "models/tractor", ".venv", "~/", "./", "../", "cloud.", "mine.", "base.", "night.", "my_")
+EXAMPLES = (
+    "numpy.py",
+    "out/",
+    "OUT/",
+    "models/tractor",
+    ".venv",
+    "~/",
+    "./",
+    "../",
+    "cloud.",
+    "mine.",
+    "base.",
+    "night.",
+    "my_",
+)
 """How names begin that a reader makes, or a bake."""
 
 everywhere = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

@@ -158,7 +158,7 @@ def test_the_fogbow_stands_where_it_is_seen():
 def test_a_missing_miepython_is_named(monkeypatch):
     """The error says what to install."""
     monkeypatch.setitem(sys.modules, "miepython", None)
-    with pytest.raises(ParameterError, match=r'pip install "synfog-usd\[mie\]"'):
+    with pytest.raises(ParameterError, match=r"pip install miepython"):
         Tabulated.mie(10.0)
 
 

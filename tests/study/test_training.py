@@ -133,7 +133,7 @@ def test_without_torch_a_line_names_the_extra(whole, tmp_path, monkeypatch, word
     monkeypatch.setitem(sys.modules, "torch", None)
     done = cli.run(*words, whole, "-o", tmp_path / "out", "--quiet")
     assert done.returncode == 2 and not (tmp_path / "out").exists()
-    assert done.stderr.strip().endswith("training needs PyTorch: pip install 'synfog-usd[train]'")
+    assert done.stderr.strip().endswith("training needs PyTorch: pip install torch onnxscript onnxruntime")
 
 
 @pytest.mark.slow
