@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,7 +16,7 @@ from synfog_usd import stage as usd
 from synfog_usd.dataset.plan import AS_AUTHORED
 from synfog_usd.errors import StageError
 from synfog_usd.stage import mend, rulebook, rules
-from synfog_usd.translate import outdoors, translate, why_black
+from synfog_usd.translate import Exchange, outdoors, why_black
 from synfog_usd.translate.coincident import Overlap, coincident
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 Told = TypeVar("Told", "Finding", "Note")
+Line = TypeVar("Line")
 
 GRAVEST_FIRST = ("error", "warning", "info")
 MOST_LETTERS = 500
@@ -63,6 +64,7 @@ def look(
     light: dict[str, str] = {}
     overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
+    known: Exchange | None = None
     try:
         for lighting, chosen in _variants(opened):
             more = _placed(opened, rules.findings(opened)) if chosen else first
@@ -70,7 +72,10 @@ def look(
             if not any(one.rule == "no-fog" for one in more):
                 in_fog.append(set(more))
             if usd.cameras(opened):
-                scene = translate(opened)
+                scene = known.within(opened) if known is not None and not lighting else None
+                if scene is None:
+                    known = Exchange(opened, before=known)
+                    scene = known.scene
                 notes |= dict.fromkeys(scene.notes)
                 light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
                 if not any(one.rule == "no-light" for one in found) and (why := why_black(scene)) is not None:
@@ -184,9 +189,9 @@ def as_json(
 def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light: Mapping[str, str] = NOTHING) -> str:
     """Findings with, once a rule, what to do in which tool; then the table of what is simplified or left out."""
     lines, explained = [], set()
-    for one in found:
+    for one, more in _by_folder([(one, one.severity, one.rule, one.text) for one in found]):
         text = one.text.removeprefix(one.path + ": ") if one.path else one.text
-        lines.append(f"{one.severity}: {_short(one.path) or stage}: {_short(text)} [{one.rule}]")
+        lines.append(f"{one.severity}: {_short(one.path) or stage}: {_short(text)}{more} [{one.rule}]")
         if one.rule not in explained:
             explained.add(one.rule)
             lines += [f"    {tool}: {advice}" for tool, advice in one.mend.items()]
@@ -198,8 +203,10 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light:
             f"{'':8} {'prims':>5}  what became of it, and the first prim",
         ]
         lines += [
-            f"{severity:8} {count:5}  {_short(text)} ({_short(paths[0]) or stage.name})"
-            for (severity, text), (paths, count) in rows
+            f"{severity:8} {count:5}  {_short(text)}{more} ({_short(paths[0]) or stage.name})"
+            for ((severity, text), (paths, count)), more in _by_folder(
+                [(row, row[0][0], "", row[0][1]) for row in rows]
+            )
         ]
         lines.append("")
     lines += [f"light ({lighting}): {text}" for lighting, text in light.items()]
@@ -209,6 +216,26 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light:
         f"simplifications"
     )
     return "\n".join(lines)
+
+
+_LOST = re.compile(r"(?:^|.* )(?P<file>\S*/[^/]*|[^/ ]+) is (?:not there|missing|not found)\b")
+"""A line that tells of a file that is not there."""
+
+
+def _by_folder(lines: Sequence[tuple[Line, str, str, str]]) -> list[tuple[Line, str]]:
+    """What is told of files that are not there once a folder, and how many more there are of it; all else as it is.
+
+    Args:
+        lines: each with its severity, its rule or whatever else is to be told apart, and its text.
+    """
+    kept: dict[object, list[Line]] = {}
+    for number, (line, severity, rule, text) in enumerate(lines):
+        lost = _LOST.match(text)
+        kept.setdefault((severity, rule, PurePosixPath(lost["file"]).parent) if lost else number, []).append(line)
+    return [
+        (some[0], f" (and {len(some) - 1} more files of this folder)" if len(some) > 1 else "")
+        for some in kept.values()
+    ]
 
 
 def _short(text: str) -> str:

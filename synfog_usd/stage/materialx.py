@@ -246,6 +246,15 @@ def _definitions(mx: Any) -> Any:
     return _library[0]
 
 
+def is_node(identifier: str) -> bool:
+    """Whether MaterialX has a node of this name, as ND_standard_surface_surfaceshader; USD's wheel knows none."""
+    try:
+        import MaterialX as mx  # noqa: N813 - as its own pages do
+    except ImportError:
+        return False
+    return _definitions(mx).getNodeDef(identifier) is not None
+
+
 class _Writer:
     """The shaders of one material, each once."""
 

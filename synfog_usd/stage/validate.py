@@ -46,6 +46,14 @@ def check(stage: Usd.Stage) -> list[Finding]:
     return [*_composition(stage), *_usd_findings(stage), *rules.findings(stage)]
 
 
+def _is_known_shader(message: str) -> bool:
+    """Whether the shader that USD has not in its registry is one of MaterialX or Mitsuba; what is not drawn of these,
+    the translation tells.
+    """
+    named = re.search(r"shaderId '([^']*)'", message)
+    return named is not None and (named[1].startswith("mitsuba_") or materialx.is_node(named[1]))
+
+
 def _composition(stage: Usd.Stage) -> list[Finding]:
     """References, payloads and sublayers that do not compose."""
     return [finding("composition", note.path, note.text) for note in composition_notes(stage)]
@@ -75,7 +83,9 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
                     )
                 )
             continue
-        if error.GetName() in _TOLD_ALREADY:
+        if error.GetName() in _TOLD_ALREADY or (
+            error.GetName() == "MissingShaderIdInRegistry" and _is_known_shader(error.GetMessage())
+        ):
             continue
         warning = error.GetType() != UsdValidation.ValidationErrorType.Info and error.GetName() not in _HARMLESS
         paths = [

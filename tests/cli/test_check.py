@@ -271,3 +271,83 @@ def test_what_fails_elsewhere_is_not_taken_for_printing(capsys):
         raise ConnectionRefusedError(111, "Connection refused")
     said = capsys.readouterr()
     assert said.out == "before\n" and not said.err
+
+
+def test_files_that_are_missing_are_one_line_a_folder(tmp_path):
+    """Three models of one folder and four textures of another, in two tables; JSON has all of them."""
+    shapes = "".join(
+        f"""def "Model{n}" (
+    {"payload" if n else "references"} = @./models/my car{n}.usda@
+)
+{{
+}}
+"""
+        for n in range(3)
+    )
+    shapes += "".join(
+        f"""def Mesh "Mesh{n}" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 5, {n}), (1, 5, {n}), (1, 5, {n + 1})]
+    rel material:binding = </Paint{n}>
+}}
+def Material "Paint{n}"
+{{
+    token outputs:surface.connect = </Paint{n}/Surface.outputs:surface>
+    def Shader "Surface"
+    {{
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </Paint{n}/Picture.outputs:rgb>
+        token outputs:surface
+    }}
+    def Shader "Picture"
+    {{
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @./textures/{n}.png@
+        float3 outputs:rgb
+    }}
+}}
+"""
+        for n in range(4)
+    )
+    stage = tmp_path / "a.usda"
+    stage.write_text(f'#usda 1.0\ndef Camera "Eye"\n{{\n}}\n{shapes}', encoding="utf-8")
+    lines = run("check", stage).stdout.splitlines()
+    (models,) = [line for line in lines if "my car" in line]
+    assert "/Model0: its reference ./models/my car0.usda is missing" in models and "and 2 more files of this" in models
+    pictures = [line for line in lines if ".png" in line]
+    assert len(pictures) == 2 and all(
+        "0.png" in line and "(and 3 more files of this folder)" in line for line in pictures
+    )
+    told = json.loads(run("check", stage, "--json").stdout)
+    assert sum("my car" in one["text"] for one in told["findings"]) == 3
+    assert sum(".png" in one["text"] for one in told["findings"]) == 4
+
+
+@pytest.mark.parametrize(
+    "node, told",
+    [("ND_standard_surface_surfaceshader", False), ("mitsuba_roughplastic", False), ("ND_no_such_node", True)],
+)
+def test_a_shader_that_usd_has_not_and_we_draw_is_no_finding(tmp_path, node, told):
+    stage = tmp_path / "a.usda"
+    stage.write_text(
+        f"""#usda 1.0
+def Camera "Eye"
+{{
+}}
+def Material "Paint"
+{{
+    token outputs:surface.connect = </Paint/Surface.outputs:surface>
+    def Shader "Surface"
+    {{
+        uniform token info:id = "{node}"
+        token outputs:surface
+    }}
+}}
+""",
+        encoding="utf-8",
+    )
+    assert ("MissingShaderIdInRegistry" in run("check", stage).stdout) == told

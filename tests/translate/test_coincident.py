@@ -61,6 +61,26 @@ def test_what_no_ray_can_mistake_is_no_finding(other):
     assert coincident(scene(square("a"), other)) == []
 
 
+def leaning(material, slope, *, at=(0.0, 0.0, 0.0)):
+    """A square whose height grows by `slope` along x."""
+    mesh = square(material, at=at)
+    mesh["positions"][:, 2] += np.float32(slope) * mesh["positions"][:, 0]
+    return mesh
+
+
+def test_planes_that_cross_are_not_in_one_another():
+    """Two that lean by 1/100 and meet along a line; and the same, if they lean alike."""
+    assert coincident(scene(square("a"), leaning("b", 0.01, at=(-0.5, 0.0, 0.0)))) == []
+    assert len(coincident(scene(leaning("a", 0.01), leaning("b", 0.01, at=(-0.5, 0.0, 0.0))))) == 1
+
+
+@pytest.mark.parametrize("away, found", [(1.0, 1), (4.0, 1), (6.0, 0), (50.0, 0)])
+def test_a_strip_under_a_milliradian_is_no_finding(away, found):
+    """Two squares that share 5 mm, which is a milliradian at 5 m."""
+    one, other = square("a", at=(-0.995, 0.0, away)), square("b", at=(0.0, 0.0, away))
+    assert len(coincident(scene(one, other))) == found
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.1])
 @pytest.mark.parametrize("away", [0.0, 12.6, 37.13])
 def test_neither_slant_nor_distance_hides_them(tilt, away):
