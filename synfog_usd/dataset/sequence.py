@@ -15,7 +15,7 @@ from typing import Any
 
 from synfog_usd import files, system
 from synfog_usd.dataset.bake import Baked, bake
-from synfog_usd.dataset.plan import BakePlan, ClipFrame
+from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.seeds import frame_seed
 
@@ -51,7 +51,13 @@ def bake_sequence(
     from synfog_usd import stage as usd
 
     with reading():
-        rate = float(usd.open_stage(plan.stage, allow=plan.allow).GetTimeCodesPerSecond())
+        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
+        usd.override(stage, choices=plan.choices)
+        rate = float(stage.GetTimeCodesPerSecond())
+        still = len(codes) > 1 and _stands_still(stage, plan, codes)
+    warnings = [f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still"] * still
+    for text in warnings:
+        log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one --frame")
     step = abs(codes[1] - codes[0]) if len(codes) > 1 else 1.0
     per_s = rate / step
     before: dict[str, tuple[float, float]] = {}
@@ -91,12 +97,24 @@ def bake_sequence(
             "stage": plan.stage.name,
             "frames_per_s": per_s,
             "adaptation_s": adaptation_s,
+            "warnings": warnings,
             "frames": rows,
             "clips": clips,
         }
         files.write_json(plan.out / SEQUENCE, found)
     progress("done", 1.0)
     return found, bakes[0]
+
+
+def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:
+    """Whether no lighting and fog of a plan shows anything that changes."""
+    from synfog_usd import stage as usd
+
+    for shot in shots(plan, usd.variants(stage)):
+        usd.select(stage, lighting=shot.lighting_variant, fog=shot.fog_variant)
+        if not usd.stands_still(stage, codes):
+            return False
+    return True
 
 
 def _gather(

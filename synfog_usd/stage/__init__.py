@@ -18,6 +18,7 @@ from synfog_usd.stage.open import (
 )
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
+from synfog_usd.stage.still import stands_still
 from synfog_usd.stage.validate import check
 
 register()
@@ -38,6 +39,7 @@ __all__ = [
     "select",
     "selected",
     "stage_hash",
+    "stands_still",
     "variant_choices",
     "variants",
 ]

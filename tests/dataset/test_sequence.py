@@ -12,7 +12,9 @@ from support.cli import run
 from support.stages import street
 
 from synfog_usd import camera, resources
-from synfog_usd.dataset.plan import frame_codes
+from synfog_usd import stage as usd
+from synfog_usd.dataset.plan import BakePlan, frame_codes
+from synfog_usd.dataset.sequence import bake_sequence
 from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.seeds import frame_seed, seed32
 from synfog_usd.writers import video
@@ -180,3 +182,52 @@ def test_pictures_of_two_sizes_make_no_clip(tmp_path):
     with pytest.raises(OutputError, match="pictures of 48 x 32 and 32 x 32 in one clip"):
         video.write_clip(tmp_path / "two.mp4", pictures, per_s=24.0)
     assert not list(tmp_path.iterdir())
+
+
+MOVES = "double3 xformOp:translate.timeSamples = {0: (0, 0, 0), 4: (0, 1, 0), 8: (0, 1, 0)}"
+
+
+@pytest.mark.parametrize(
+    "samples, codes, still",
+    [
+        ("", (0.0, 1.0, 2.0), True),
+        (MOVES, (0.0, 1.0), False),
+        (MOVES, (4.0, 6.0, 8.0), True),  # it stands from 4 on
+        (MOVES, (20.0, 30.0), True),  # beyond the last sample
+        (MOVES, (2.0,), True),
+        (MOVES.replace("(0, 1, 0)}", "(0, 0, 0)}"), (0.0, 4.0, 8.0), False),  # there and back
+    ],
+)
+@pytest.mark.parametrize("place", ["prim", "variant", "instance"])
+def test_a_stage_stands_still_where_no_value_changes_at_its_frames(tmp_path, samples, codes, still, place):
+    """Time samples that are not reached, or are all alike, move nothing; a chosen variant and an instance count."""
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate"]'
+    inside = f'def Cube "Car"\n{{\n{samples}\n{order}\n}}\n'
+    text = {
+        "prim": inside,
+        "variant": 'def Xform "World" (\nvariants = {\nstring look = "b"\n}\nprepend variantSets = ["look"]\n)\n{\n'
+        + 'variantSet "look" = {\n"a" {\n}\n"b" {\n'
+        + inside
+        + "}\n}\n}\n",
+        "instance": f'class "Kit"\n{{\n{inside}}}\ndef Xform "One" (\ninstanceable = true\n'
+        + "prepend references = </Kit>\n)\n{\n}\n",
+    }[place]
+    (tmp_path / "a.usda").write_text("#usda 1.0\n" + text)
+    assert usd.stands_still(usd.open_stage(tmp_path / "a.usda"), codes) is still
+
+
+def test_a_video_of_a_still_is_told(tmp_path):
+    """In a line, and in sequence.json; not where a lighting that is baked changes."""
+    stage = tmp_path / "street.usda"
+    stage.write_text(street())
+    plan = BakePlan(stage, tmp_path / "out", lighting=("sky",), fog=("clear",), size=(32, 18), samples=2)
+    told = []
+    found, _ = bake_sequence(plan, (0.0, 1.0), log=told.append)
+    assert found["warnings"] == ["nothing changes between the time codes 0 and 1: the video is a still"]
+    assert len([line for line in told if "the video is a still; animate it" in line]) == 1
+    stage.write_text(
+        street().replace("float inputs:exposure = -5", "float inputs:exposure.timeSamples = {0: -5, 2: -4}")
+    )
+    for lighting, warned in (("sky", 1), ("active", 0)):
+        plan = BakePlan(stage, tmp_path / lighting, lighting=(lighting,), fog=("clear",), size=(32, 18), samples=2)
+        assert len(bake_sequence(plan, (0.0, 1.0))[0]["warnings"]) == warned
