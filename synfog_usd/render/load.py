@@ -121,6 +121,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     made: dict[str, Any] = {}
     shapes: dict[tuple[str, ...], Any] = {}
     top: dict[str, Any] = {"type": "scene"}
+    textures: dict[tuple[Any, ...], Any] = {}
 
     def convert(value: Any, key: str) -> Any:
         if isinstance(value, Mapping):
@@ -131,10 +132,22 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
             if value.get("type") == "mesh":
                 return _mesh(mi, value, key, convert)
             value = surface.drawn(value)
-            return {
+            leaves = {
                 name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}")
                 for name, item in value.items()
+                if name != "bitmap"
             }
+            if "bitmap" not in value:
+                return leaves
+            if value["type"] != "bitmap":
+                return leaves | {"bitmap": _leaf(mi, "bitmap", value["bitmap"])}
+            pixels = value["bitmap"]
+            others = ((name, np.asarray(value[name]).tobytes()) for name in sorted(leaves))
+            known = (id(pixels), *others)
+            if known not in textures:  # of one picture in many surfaces one copy
+                made_once = mi.load_dict(leaves | {"bitmap": _leaf(mi, "bitmap", pixels)})
+                textures[known] = pixels, made_once  # the pixels are kept, so that no other array gets their id
+            return textures[known][1]
         return value
 
     def build(value: Any, key: str) -> Any:

@@ -201,10 +201,18 @@ def together(parts: Sequence[Mapping[str, Any]], number: Indices) -> dict[str, A
     made = {**one, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
     if not pictures:
         return made
+    own = {(id(colour["bitmap"]), bool(colour.get("raw", False))): colour for colour in pictures}
+    ends = np.cumsum([np.prod(colour["bitmap"].shape[:2]) for colour in own.values()], dtype=np.uint32)
+    begin_of = dict(zip(own, (0, *ends), strict=False))
     begin = np.zeros(max(len(pictures), 4), dtype=np.uint32)
-    begin[1 : len(pictures)] = np.cumsum([np.prod(colour["bitmap"].shape[:2]) for colour in pictures[:-1]])
+    begin[: len(pictures)] = [begin_of[id(colour["bitmap"]), bool(colour.get("raw", False))] for colour in pictures]
     grey = {"type": "rgb", "value": [0.5] * 3}  # Mitsuba wants a colour, that nobody asks
-    return {**made, "base_color": grey, "begin_of_row": begin, "texels": np.concatenate(list(map(_packed, pictures)))}
+    return {
+        **made,
+        "base_color": grey,
+        "begin_of_row": begin,
+        "texels": np.concatenate(list(map(_packed, own.values()))),
+    }
 
 
 def _packed(colour: Mapping[str, Any]) -> Indices:

@@ -36,6 +36,7 @@ from synfog_usd.translate.texture import (
     TextureNode,
     UvSource,
     linear,
+    normals,
     producer,
     sampled,
     shader_id,
@@ -476,10 +477,7 @@ class Materials:
 
     def _bumped(self, bsdf: dict[str, Any], inputs: _ShaderInputs, path: object) -> dict[str, Any]:
         node = inputs.texture("normal")
-        if node is None:
-            return bsdf
-        pixels = self.images.of(node)
-        if pixels is None or pixels.shape[2] < 3:
+        if node is None or not (node.file or node.tiles):
             return bsdf
         scale, bias = np.asarray(node.scale[:3], dtype=np.float64), np.asarray(node.bias[:3], dtype=np.float64)
         untouched = np.allclose(np.abs(scale), 1.0) and np.allclose(bias, (scale < 0.0) * 1.0)
@@ -492,17 +490,13 @@ class Materials:
                 "green also turned or weaker",
             )
             return bsdf
+        values = normals(node, self.images, scale, bias, untouched=bool(untouched))
+        if values is None:
+            return bsdf
         along_u, along_v = (
             "clamp" if mode == "black" else mode for mode in self.images.wraps(node)
         )  # no normal is black
         node = replace(node, wrap=along_u, wrap_v=along_v)
-        values = linear(pixels[..., :3], srgb=False)
-        if untouched and pixels.dtype != np.uint8:
-            values = values * 0.5 + 0.5
-        if not np.allclose(scale, 2.0):  # green turned is DirectX's handedness; two thirds of the slope, a weaker map
-            normals = values * scale.astype(np.float32) + bias.astype(np.float32)
-            normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-            values = np.asarray(normals * 0.5 + 0.5, dtype=np.float32)
         return {"type": "normalmap", "normalmap": inputs.bitmap(values, node, raw=True), "bsdf": bsdf}
 
 
@@ -749,10 +743,8 @@ class _ShaderInputs:
             strength = [max(float(c), 0.0) for c in value]
             return (_rgb(strength), float(LUMINANCE @ strength)) if max(strength) > 0.0 else (None, 0.0)
         assert node is not None
-        decoded = np.maximum(linear(value, srgb=value.dtype == np.uint8), 0.0)
-        if not decoded.any():
-            return None, 0.0
-        return self.bitmap(decoded, node, raw=True), float(LUMINANCE @ decoded.mean(axis=(0, 1)))
+        decoded, luminance = self.images.once(_shining, value)
+        return (None, 0.0) if decoded is None else (self.bitmap(decoded, node, raw=True), luminance)
 
 
 def _reflecting(ior: float, times: float) -> float:
@@ -800,6 +792,12 @@ def _content(pixels: Any) -> tuple[Any, ...]:
 
 def _mean_of(pixels: Any, raw: bool) -> tuple[float, float, float]:
     return mean_colour({"type": "bitmap", "bitmap": pixels, "raw": raw})
+
+
+def _shining(pixels: Any) -> tuple[Any, float]:
+    """A picture as radiance, with its mean luminance; (None, 0) where it is dark throughout."""
+    decoded = np.maximum(linear(pixels, srgb=pixels.dtype == np.uint8), 0.0)
+    return (decoded, float(LUMINANCE @ decoded.mean(axis=(0, 1)))) if decoded.any() else (None, 0.0)
 
 
 def _cut(pixels: Any, threshold: float) -> Any:

@@ -531,6 +531,42 @@ def _measured(pixels: Pixels, node: TextureNode, channels: int, *, srgb: bool) -
     return np.concatenate([column(c) for c in range(3)], axis=2)
 
 
+def normals(
+    node: TextureNode, images: ImageReader, scale: npt.NDArray[Any], bias: npt.NDArray[Any], *, untouched: bool
+) -> npt.NDArray[np.float32] | None:
+    """(H, W, 3) normals as Mitsuba takes them, halved and 0.5 added; None where there is no picture of three channels.
+
+    The same array for the same question, as of `sampled`.
+
+    Args:
+        node: the texture.
+        images: where it is read.
+        scale, bias: (3,) what makes of its codes a normal.
+        untouched: whether a float file holds numbers from -1 to 1.
+    """
+    key = (node.file, "normal", *scale.tolist(), *bias.tolist(), untouched)
+    if key not in images.sampled:
+        pixels = images.of(node)
+        if pixels is None or pixels.shape[2] < 3:
+            return None
+        images.sampled[key] = _normals(pixels, scale, bias, untouched=untouched)
+    return np.asarray(images.sampled[key])
+
+
+def _normals(
+    pixels: Pixels, scale: npt.NDArray[Any], bias: npt.NDArray[Any], *, untouched: bool
+) -> npt.NDArray[np.float32]:
+    values = linear(pixels[..., :3], srgb=False)
+    if untouched and pixels.dtype != np.uint8:
+        values = values * np.float32(0.5) + np.float32(0.5)
+    if np.allclose(scale, 2.0):
+        return values
+    # green turned is DirectX's handedness; two thirds of the slope, a weaker map
+    turned = values * scale.astype(np.float32) + bias.astype(np.float32)
+    turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-6)
+    return np.asarray(turned * 0.5 + 0.5, dtype=np.float32)
+
+
 def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArray[np.float32]:
     """(H, W, 4) linear values of a texture with its scale and bias, (1, 1, 4) of its fallback where it has no file.
 
