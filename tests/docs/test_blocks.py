@@ -146,11 +146,22 @@ def furnish_mini(folder: Path) -> None:
     index.write_part(folder / "out" / "mini", 0, rows)
 
 
-def furnish_bake(folder: Path) -> None:
-    """A bake of a small street in out."""
-    words = ("my_street.usda", "-o", "out", "--lighting", "sky", "--fog", "clear,mor150", "--resolution", "24x14")
-    done = process("bake", *words, "--samples", "2", "--model", "single", "--no-denoise", cwd=folder)
-    assert done.returncode == 0, done.stderr
+def with_bake(folder: Path) -> Path:
+    """The folder, with a bake of a small street in out."""
+    if not (folder / "out" / "bake.json").exists():
+        words = ("my_street.usda", "-o", "out", "--lighting", "sky", "--fog", "clear,mor150", "--resolution", "24x14")
+        done = process("bake", *words, "--samples", "2", "--model", "single", "--no-denoise", cwd=folder)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def looked_at(words: list[str], folder: Path) -> None:
+    """Run OpenImageIO's tool, which comes with its package; it writes the file that it is told to."""
+    start = "import sys, OpenImageIO; sys.argv[0] = 'oiiotool'; sys.exit(OpenImageIO._command_line())"
+    command = [sys.executable, "-c", start, *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "-o" not in words or (folder / words[words.index("-o") + 1]).stat().st_size > 0
 
 
 def commands(block: Block) -> list[tuple[list[str], str]]:
@@ -205,8 +216,8 @@ def test_python_runs(block, folders):
         pytest.importorskip("torch", reason="torch is not installed")
     if "out/mini" in block.text and not (folder / "out" / "mini").exists():
         furnish_mini(folder)
-    if re.search(r'"out/(labels|sky)', block.text) and not (folder / "out" / "bake.json").exists():
-        furnish_bake(folder)
+    if re.search(r'"out/(labels|sky)', block.text):
+        with_bake(folder)
     done = subprocess.run([sys.executable, "-c", block.text], cwd=folder, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
 
@@ -257,6 +268,8 @@ def test_commands_are_right(block, folders):
                 pytest.fail(f"{block}: {shlex.join(words)}: {problem}")
             if rest[0] in QUICK:
                 ran(rest, folders(block.page))
+        elif program == "oiiotool":
+            looked_at(rest, with_bake(folders(block.page)))
         elif program == "make":
             assert set(rest) <= targets
         elif program == "pip":

@@ -37,6 +37,7 @@ OF_OTHERS = {"--background", "--find-links"}
 
 EXAMPLES = (
     "numpy.py",
+    "mitsuba.py",
     "out/",
     "OUT/",
     "models/tractor",
