@@ -138,3 +138,17 @@ def test_the_command_prints_them(kind):
         check=False,
     )
     assert (done.returncode, done.stdout) == (0, KINDS[kind][0]())
+
+
+def test_each_wrong_curve_is_told(tmp_path):
+    """Of a sensor times filters, two filters and the silicon are wrong, each in its own way."""
+    form = (
+        "qe: {product: {sensor: {flut: 0.5}, filters: {R: {flat: 2}, G: {flat: 0.5}, B: {gaussian: [455, 80]}}}, "
+        "source: example}"
+    )
+    with pytest.raises(ParameterError) as caught:
+        loaded("sensor", re.sub(r"^qe: .*$", form, sensor_template(), flags=re.MULTILINE), tmp_path)
+    first, *lines = str(caught.value).splitlines()
+    assert first.endswith("mine.yaml: 3 errors")
+    words = ("sensor is {'flut': 0.5}; it takes", "flat of R is 2; it takes", "B has 2 numbers for gaussian")
+    assert all(word in line for word, line in zip(words, lines, strict=True))
