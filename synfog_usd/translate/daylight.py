@@ -202,8 +202,8 @@ def factor(outside: Outdoors, *, light_scale: float, sun_lux: float | None) -> f
         return light_scale
     if not outside.sun_lux > 0.0:
         raise ParameterError(
-            f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; multiply its lights by --light-scale "
-            f"instead"
+            f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; "
+            + (f"{outside.noon()} makes it noon" if outside.ground_lux > 0.0 else "--light-scale multiplies its lamps")
         )
     return sun_lux / outside.sun_lux
 

@@ -5,6 +5,7 @@ Takes pictures of 8 bits; gives a file that browsers play.  For measuring there 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -62,6 +63,7 @@ def write_clip(path: Path, pictures: Iterable[npt.NDArray[np.uint8]], *, per_s: 
 def _encode(temporary: Path, path: Path, pictures: Iterable[npt.NDArray[np.uint8]], per_s: float) -> None:
     import av
 
+    os.environ.setdefault("SVT_LOG", "1")  # errors alone, instead of a page about its settings
     size: tuple[int, int] | None = None
     with system.as_urgent_as_before(), av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libsvtav1", rate=Fraction(per_s).limit_denominator(1001))

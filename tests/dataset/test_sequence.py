@@ -231,3 +231,9 @@ def test_a_video_of_a_still_is_told(tmp_path):
     for lighting, warned in (("sky", 1), ("active", 0)):
         plan = BakePlan(stage, tmp_path / lighting, lighting=(lighting,), fog=("clear",), size=(32, 18), samples=2)
         assert len(bake_sequence(plan, (0.0, 1.0))[0]["warnings"]) == warned
+
+
+@pytest.mark.skipif(bool(video.available()), reason="clips need PyAV")
+def test_a_clip_is_written_without_its_encoders_words(tmp_path, capfd):
+    video.write_clip(tmp_path / "a.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, per_s=24.0)
+    assert capfd.readouterr() == ("", "")

@@ -182,7 +182,9 @@ def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
 def test_lux_are_not_asked_of_a_sun_that_is_not_there(empty):
     stage = empty()
     sky(stage, 1.0)
-    with pytest.raises(ParameterError, match=r"--sun-lux 80000: the stage has no distant light.*--light-scale"):
+    with pytest.raises(
+        ParameterError, match=r"--sun-lux 80000: the stage has no distant light.*--light-scale 6000 makes it noon"
+    ):
         translate(stage, sun_lux=80_000.0)
 
 
