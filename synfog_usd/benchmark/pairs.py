@@ -66,6 +66,35 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
     return sorted(found, key=lambda pair: pair.name)
 
 
+def truth_of(shot: Path, *, picture: str = "srgb.png", clear: str = "clear") -> Path:
+    """The picture of a shot's view without fog, as `find` pairs it.
+
+    Args:
+        shot: folder of a foggy or clear shot in a set or bake, as out/sky/mor150; or a picture, which is the truth
+            itself.
+        picture: which output of a set or bake is compared.
+        clear: the fog that counts as none.
+
+    Raises:
+        ParameterError: no such shot, or no clear one of its view.
+    """
+    if shot.is_file():
+        return shot
+    here = shot.resolve()
+    for source in (here, *here.parents):
+        if not (index.is_set(source) or (source / "bake.json").is_file()):
+            continue
+        pairs = _of_set(source, picture, clear, "") if index.is_set(source) else _of_bake(source, picture, clear)
+        for pair in pairs:
+            if here in (pair.foggy.parent.resolve(), pair.clear.parent.resolve()):
+                return pair.clear
+    what = "no shot of a set or bake" if shot.is_dir() else "no such folder or picture"
+    raise ParameterError(
+        f"{shot}: {what} with {picture} and the same view under {clear!r}; it takes a folder as out/<lighting>/<fog>, "
+        "or a picture to compare with"
+    )
+
+
 def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair]:
     views: dict[tuple[int, str, str, str], Path] = {}
     foggy = []

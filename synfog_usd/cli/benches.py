@@ -15,10 +15,11 @@ import typer
 
 from synfog_usd.benchmark import defog as bench_of
 from synfog_usd.benchmark import detect as detection
-from synfog_usd.benchmark import detect_page, detectors, page
+from synfog_usd.benchmark import detect_page, detectors, metrics, page
 from synfog_usd.benchmark.bench import Bench
+from synfog_usd.benchmark.bench import picture as picture_of
 from synfog_usd.benchmark.methods import chosen
-from synfog_usd.benchmark.pairs import find
+from synfog_usd.benchmark.pairs import find, truth_of
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
 
@@ -56,6 +57,18 @@ def defog(
         print(page.markdown(bench, rows))
         print(f"{out / 'pictures.png'} shows them side by side")
     _refuse_silence(bench, out)
+
+
+def compare(mine: Path, shot: Path, *, picture: str, clear: str, as_json: bool) -> None:
+    """Print how far a picture is from the one without fog."""
+    truth = truth_of(shot, picture=picture, clear=clear)
+    found = metrics.measure(picture_of(mine), picture_of(truth))
+    if as_json:
+        print(json.dumps({"picture": str(mine), "truth": str(truth), **found}, indent=2))
+        return
+    print(f"{mine} against {truth}:")
+    for name, value in found.items():
+        print(f"{metrics.METRICS[name].title:10} {value:.{metrics.METRICS[name].decimals}f}")
 
 
 def detect(

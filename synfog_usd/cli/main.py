@@ -423,6 +423,23 @@ def chart(
 
 
 @app.command()
+def compare(
+    mine: Annotated[Path, typer.Argument(help="Picture: what a method made of a foggy one, or any other.")],
+    shot: Annotated[
+        Path,
+        typer.Argument(help="Folder of the shot in a set or bake, as out/sky/mor150; or a picture to compare with."),
+    ],
+    picture: Annotated[str, typer.Option(help="Which output of the set or bake is compared.")] = "srgb.png",
+    clear: Annotated[str, typer.Option(help="The fog that counts as none.")] = "clear",
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON on standard output.")] = False,
+) -> None:
+    """Measure how far picture MINE is from the view of SHOT in clear air, as `benchmark defog` measures it."""
+    from synfog_usd.cli import benches
+
+    benches.compare(mine, shot, picture=picture, clear=clear, as_json=as_json)
+
+
+@app.command()
 def compose(
     recipe: Annotated[Path, typer.Argument(help="YAML recipe, or the name of one that ships, as residential.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from synfog_usd import files
 from synfog_usd.study.chamber import MODELS, ChamberStudy, LaserRow, departures
@@ -22,6 +23,9 @@ NAMES = {
     "asm_true": "ASM, true airlight",
     "asm_dark_channel": "ASM, dark channel's airlight",
 }
+READ_OFF = 1e-5
+"""Half of an interval of the extinction, relative, below which no light was drawn by chance: it is rounding."""
+
 SEEN = 0.05
 """Relative error from which on a model is said to leave the truth."""
 
@@ -52,6 +56,9 @@ def law_error(found: ChamberStudy, row: LaserRow) -> tuple[float, float]:
 def markdown(found: ChamberStudy) -> str:
     """Findings and tables."""
     errors = [law_error(found, row) for row in found.laser]
+    drawn = [(off, half) for off, half in errors if half > READ_OFF]
+    beyond = sum(abs(off) > half for off, half in drawn)
+    by_chance = int(stats.binom.isf(0.01, len(drawn), 0.05)) if drawn else 0
     least = min(row.law.power for row in found.laser)
     widest = max(half for _, half in errors)
     lines = [
@@ -61,8 +68,9 @@ def markdown(found: ChamberStudy) -> str:
         "takes light from any side. Intervals are of 95 %.",
         "",
         f"- **The law.** Light that was not turned aside gives ln(P0/P)/u within {max(abs(e) for e, _ in errors):.3%} "
-        f"of the authored extinction down to P/P0 = {least:.2g}; the widest interval is {widest:.3%}. It would be "
-        "refuted by an error beyond its interval in more than one fog of twenty.",
+        f"of the authored extinction down to P/P0 = {least:.2g}; the widest interval is {widest:.3%}. Light is "
+        f"drawn by chance in {len(drawn)} fogs, and in {beyond} of them the error lies beyond its interval; more than "
+        f"{by_chance} would refute the law (chance: below 1 %).",
     ]
     walls = list(found.laser[0].meters)
     for wall in walls:

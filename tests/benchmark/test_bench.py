@@ -96,6 +96,39 @@ def test_pairs_of_a_bake_are_its_fogs_against_its_clear_air(tmp_path):
     assert found[0].files["raw.dng"] == tmp_path / "a" / "mor150" / "raw.dng"
 
 
+def test_one_picture_is_compared_as_the_bench_compares_it(tmp_path):
+    """The foggy picture against its shot has what `benchmark defog --methods none` tells of that pair, every metric;
+    any picture is compared with the clear one of the shot, or with the picture that is named.
+    """
+    rows = []
+    for fog, shade in (("clear", 1.0), ("mor150", 0.5)):
+        (tmp_path / "bake/sky" / fog).mkdir(parents=True)
+        pixels = seeds.stream(0, "compare").random((24, 32, 3)) * 255.0 * shade + 255.0 * (1.0 - shade) / 2.0
+        Image.fromarray(pixels.astype(np.uint8)).save(tmp_path / "bake/sky" / fog / "srgb.png")
+        rows.append({"lighting": "sky", "fog": fog, "folder": f"sky/{fog}", "files": ["srgb.png"]})
+    (tmp_path / "bake/bake.json").write_text(json.dumps({"shots": rows}), encoding="utf-8")
+    shot = tmp_path / "bake/sky/mor150"
+    bench = cli.run("benchmark", "defog", tmp_path / "bake", "-o", tmp_path / "out", "--methods", "none", "--json")
+    (of_none,) = json.loads(bench.stdout)
+    told = json.loads(cli.run("compare", shot / "srgb.png", shot, "--json").stdout)
+    names = [name for name in of_none if name not in ("method", "rank")]
+    assert "psnr" in names
+    assert {name: told[name] for name in names} == pytest.approx({name: of_none[name]["value"] for name in names})
+    clear = shot.parent / "clear"
+    assert told["truth"] == str(clear / "srgb.png")
+    assert told["psnr"] == pytest.approx(psnr(levels(shot / "srgb.png"), levels(clear / "srgb.png")))
+    assert json.loads(cli.run("compare", clear / "srgb.png", shot, "--json").stdout)["psnr"] == 100.0
+    assert json.loads(cli.run("compare", shot / "srgb.png", shot / "srgb.png", "--json").stdout)["psnr"] == 100.0
+    assert "PSNR [dB]  100.00" in cli.run("compare", clear / "srgb.png", clear).stdout
+    for arguments, words in (
+        ((shot / "srgb.png", tmp_path / "bake"), "no shot of a set or bake with srgb.png"),
+        ((shot / "srgb.png", tmp_path / "none"), "no such folder or picture"),
+        ((tmp_path / "none.png", shot), "none.png: cannot be read as a picture"),
+    ):
+        done = cli.run("compare", *arguments)
+        assert done.returncode == 2 and words in done.stderr and done.stderr.count("\n") == 1
+
+
 def test_a_source_without_pairs_is_refused(tmp_path):
     with pytest.raises(ParameterError, match="no pair of a foggy picture"):
         find(tmp_path)
