@@ -76,10 +76,11 @@ def look(
                 if scene is None:
                     known = Exchange(opened, before=known)
                     scene = known.scene
+                    light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
+                    why = None if any(one.rule == "no-light" for one in found) else why_black(scene)
+                    if why is not None:  # and so in any fog
+                        found[rulebook.finding("black", scene.camera.path, why)] = None
                 notes |= dict.fromkeys(scene.notes)
-                light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
-                if not any(one.rule == "no-light" for one in found) and (why := why_black(scene)) is not None:
-                    found[rulebook.finding("black", scene.camera.path, why)] = None
                 overlaps = coincident(scene) if overlaps is None else overlaps  # lighting and fog move no faces
     except StageError as problem:
         found[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = None

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array
-from synfog_usd.scene import SceneDict, prototype_of, shapes_of
+from synfog_usd.scene import SceneDict, placements, shapes_of
 from synfog_usd.translate.geometry import cross, determinant
 
 APART_M = 5e-5
@@ -115,32 +115,29 @@ def _triangles(scene: SceneDict, eye: Array) -> tuple[Array, npt.NDArray[np.int6
     materials: dict[str, int] = {}
     material: list[npt.NDArray[np.int64]] = []
     thing: list[npt.NDArray[np.int64]] = []
-    known: dict[int, _Prototype] = {}
 
-    def take(mesh: Mapping[str, Any], matrix: Array, label: int) -> None:
+    def take(mesh: Mapping[str, Any], matrices: Array, labels: list[int]) -> None:
         if mesh.get("type") != "mesh":
             return
-        if id(mesh) not in known:
-            known[id(mesh)] = _prototype(mesh)
-        made, linear = known[id(mesh)], matrix[:3, :3]
-        scale = float(np.linalg.norm(linear, axis=0).max())
-        near = float(np.linalg.norm(linear @ made.centre + matrix[:3, 3] - eye)) - scale * made.radius
-        if scale * made.widest <= max(LEAST_M, LEAST_RAD * near):
-            return
-        found = made.corners @ linear.T + matrix[:3, 3]
-        corners.append(found[:, ::-1] if determinant(matrix) < 0.0 else found)
+        made, linear = _prototype(mesh), matrices[:, :3, :3]
+        scale = np.linalg.norm(linear, axis=1).max(axis=1)
+        near = np.linalg.norm(linear @ made.centre + matrices[:, :3, 3] - eye, axis=1) - scale * made.radius
         name = str(mesh["bsdf"].get("id", "")) if mesh["bsdf"].get("type") == "ref" else f"own {len(corners)}"
-        material.append(np.full(len(found), materials.setdefault(name, len(materials))))
-        thing.append(np.full(len(found), label))
+        number = materials.setdefault(name, len(materials))
+        for place in np.flatnonzero(scale * made.widest > np.maximum(LEAST_M, LEAST_RAD * near)):
+            found = made.corners @ linear[place].T + matrices[place, :3, 3]
+            corners.append(found[:, ::-1] if determinant(matrices[place]) < 0.0 else found)
+            material.append(np.full(len(found), number))
+            thing.append(np.full(len(found), labels[place]))
 
-    many = sum(key.startswith("instance_") for key in scene.world) > MOST_PLACED
     for key, value in scene.world.items():
         if key.startswith("shape_"):
-            take(value, np.eye(4), scene.instance_of.get((key,), 0))
-        elif key.startswith("instance_") and not many:
-            matrix = np.asarray(value["to_world"], dtype=np.float64)
-            for name, shape in shapes_of(scene.world, prototype_of(value)).items():
-                take(shape, matrix, scene.instance_of.get((key, name), 0))
+            take(value, np.eye(4)[None], [scene.instance_of.get((key,), 0)])
+    standing = placements(scene.world)
+    for group, rows in standing.rows.items() if len(standing.keys) <= MOST_PLACED else ():
+        for name, shape in shapes_of(scene.world, group).items():
+            labels = [scene.instance_of.get((standing.keys[row], name), 0) for row in rows]
+            take(shape, standing.to_world[rows], labels)
     none = [np.zeros(0, dtype=np.int64)]
     return np.concatenate(corners), np.concatenate(material or none), np.concatenate(thing or none)
 
