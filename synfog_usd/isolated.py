@@ -89,7 +89,14 @@ def _begin() -> None:
     _, dash_m, module, *words = sys.argv
     assert dash_m == "-m"
     sys.argv = [module, *words]
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except ImportError as error:
+        if not os.environ.get("PYTHONPATH") or "No module named" not in str(error):
+            raise
+        where = "what synfog-usd starts does not look into PYTHONPATH; install it where synfog-usd is installed"
+        print(f"synfog-usd: {error}: {where}", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -68,6 +68,7 @@ VERBS = {
     "graph run": [GRAPH, "--in", "out/sky/mor150/radiance.exr", "-o", "developed", "--no-cache"],
     "graph explain": ["sensor.gain"],
     "graph schema": [],
+    "graph profile": ["sensor"],
     "asset import": ["box.obj", "--class", "car", "--length", "4", "-o", "models"],
     "dataset plan": ["tiny.yaml", "--quiet"],
     "dataset run": ["tiny.yaml", "-o", "set", "--quiet"],
@@ -249,6 +250,18 @@ def test_a_child_has_neither_the_current_folder_nor_pythonpath(tmp_path):
     folders = ast.literal_eval(asked("sys.path", place=tmp_path, env=env))
     assert str(ROOT) in folders and str(tmp_path) not in folders and str(tmp_path / "there") not in folders
     assert all(map(os.path.isabs, folders)) and str(PACKAGE) not in folders
+
+
+def test_what_only_pythonpath_has_is_told_in_a_line(tmp_path):
+    """A child that misses a package which its parent would find there; without the variable it is a plain error."""
+    (tmp_path / "only_there.py").write_text("")
+    words = isolated.command("only_there")
+    done = subprocess.run(words, env=with_us(PYTHONPATH=str(tmp_path)), capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "No module named only_there" in done.stderr and "PYTHONPATH" in done.stderr
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(words, env=plain, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" in done.stderr
 
 
 @pytest.mark.parametrize(
