@@ -603,7 +603,7 @@ class _Assembler:
             return
         asked = set[str]()
         given = self.around(places[0], asked)
-        first = [(leaf, self.drawer.parts(leaf, leaf.matrix, given, in_group=True)) for leaf in rest]
+        first = [(leaf, self.drawer.parts(leaf, leaf.matrix, given, places=len(places))) for leaf in rest]
         faces = sum(len(shape.get("faces", ())) for _, parts in first for shape, _, _ in parts)
         most = min(max(MOST_TRIANGLES // max(faces, 1), FEWEST_KINDS), MOST_KINDS)
         kinds = self.of_instances.kinds(places, sorted(asked), most) if asked else []
@@ -615,7 +615,7 @@ class _Assembler:
         for leaf in rest:
             with self.drawer.one_mesh():
                 for parts, given in zip(made, arounds, strict=True):
-                    parts.append((leaf, self.drawer.parts(leaf, leaf.matrix, given, in_group=True)))
+                    parts.append((leaf, self.drawer.parts(leaf, leaf.matrix, given, places=len(places))))
         for parts, given, (_, rows) in zip(made, arounds, kinds, strict=True):
             self.put_kind(parts, [places[row] for row in rows.tolist()], given)
 

@@ -6,7 +6,6 @@ nothing of materials or Mitsuba.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate import finite
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
+from synfog_usd.translate.implicit import ball
 from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
 from synfog_usd.translate.primvars import array_at, columns_of, flattened
 from synfog_usd.translate.sweep import ribbons, tubes
@@ -275,7 +275,7 @@ def read_points(
         notes.warn(
             path, f"{int((~shown).sum())} of its points are no finite numbers or have no width; they are left out"
         )
-    normals, faces, fit = _ball(1 if 80 * len(points) <= _FEW_TRIANGLES else 0)
+    normals, faces, fit = ball(1 if 80 * len(points) <= _FEW_TRIANGLES else 0)
     if len(faces) * int(shown.sum()) > MOST_TRIANGLES:
         notes.warn(
             path,
@@ -296,16 +296,6 @@ def read_points(
     if colors is not None:
         colors = np.repeat(np.broadcast_to(colors, points.shape)[shown], len(normals), axis=0)
     return Triangles(positions.reshape(-1, 3), index.reshape(-1, 3), np.tile(normals, (len(centers), 1)), colors=colors)
-
-
-@functools.cache
-def _ball(divisions: int) -> tuple[Array, Indices, float]:
-    """An icosphere: (N, 3) unit vertices, (M, 3) faces, and the factor that gives it the surface of the sphere."""
-    import trimesh
-
-    made = trimesh.creation.icosphere(subdivisions=divisions)
-    vertices = np.asarray(made.vertices, dtype=np.float64)
-    return vertices, np.asarray(made.faces, dtype=np.int64), float(np.sqrt(4.0 * np.pi / made.area))
 
 
 def _segments(points: int, basis: str, wrap: str) -> int:

@@ -5,19 +5,26 @@ Takes the prims, or their sizes; gives triangles in their own coordinates.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from pxr import Usd
 
-from synfog_usd.arrays import Array
+from synfog_usd.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 
 ROUND = 48
 """Segments around a cylinder, cone or capsule; its radius errs by 0.2 %."""
 
+_BALLS_TRIANGLES = 8_000_000
+"""Triangles that a Sphere may have in all places together."""
 
-def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> Triangles:
-    """A Cube, Sphere, Cylinder, Cone, Capsule or Plane as triangles in its own coordinates."""
+
+def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics, places: int = 0) -> Triangles:
+    """A Cube, Sphere, Cylinder, Cone, Capsule or Plane as triangles in its own coordinates; a Sphere that stands in
+    many places has fewer of them.
+    """
 
     def number(name: str, default: float) -> float:
         attribute = prim.GetAttribute(name)
@@ -27,7 +34,12 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnost
     if kind == "Cube":
         return cube(number("size", 2.0) / 2.0)
     if kind == "Sphere":
-        return sphere_mesh(number("radius", 1.0))
+        if not places:
+            return sphere_mesh(number("radius", 1.0))
+        divisions = next((fine for fine in (4, 3, 2) if 20 * 4**fine * places <= _BALLS_TRIANGLES), 1)
+        normals, faces, fit = ball(divisions)
+        radius = number("radius", 1.0)
+        return Triangles(normals * (fit * radius), faces, normals)
     axis = notes.token(prim.GetPath(), "axis", prim.GetAttribute("axis").Get(), "XYZ", "Z")
     if kind == "Plane":
         width, length = number("width", 2.0), number("length", 2.0)
@@ -71,6 +83,16 @@ def sphere_mesh(radius: float) -> Triangles:
     angles = np.linspace(-np.pi / 2, np.pi / 2, ROUND // 2 + 1)
     made = _revolved(np.cos(angles), np.sin(angles), np.cos(angles), np.sin(angles))
     return Triangles(made.positions * radius, made.faces, made.normals)
+
+
+@functools.cache
+def ball(divisions: int) -> tuple[Array, Indices, float]:
+    """An icosphere: (N, 3) unit vertices, (M, 3) faces, and the factor that gives it the surface of the sphere."""
+    import trimesh
+
+    made = trimesh.creation.icosphere(subdivisions=divisions)
+    vertices = np.asarray(made.vertices, dtype=np.float64)
+    return vertices, np.asarray(made.faces, dtype=np.int64), float(np.sqrt(4.0 * np.pi / made.area))
 
 
 def frustum(height: float, bottom: float, top: float) -> Triangles:

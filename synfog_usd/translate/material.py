@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdShade
+from pxr import Gf, Sdf, Tf, Usd, UsdShade
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
@@ -20,6 +20,7 @@ from synfog_usd.scene import mean_colour
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import tell_inputs
+from synfog_usd.translate.misfits import tell_misfits
 from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
 from synfog_usd.translate.primvars import Given
 from synfog_usd.translate.shading import (
@@ -35,8 +36,10 @@ from synfog_usd.translate.texture import (
     ImageReader,
     TextureNode,
     UvSource,
+    fitted,
     linear,
     normals,
+    numbers_in,
     producer,
     sampled,
     shader_id,
@@ -50,6 +53,9 @@ DISPLAY = "displayColor"
 _MIN_IOR = 1.001
 _CUT_OUT = 0.1
 """Alpha of a card's picture below which nothing is drawn.  Source: OpenUSD's imaging of draw modes."""
+
+_UNREADABLE = (ArithmeticError, TypeError, ValueError, LookupError, AttributeError)
+"""What an opinion raises that no shader can mean; the rest of the stage is drawn all the same."""
 
 _EARLIEST = Usd.TimeCode.EarliestTime()
 
@@ -147,7 +153,20 @@ class Materials:
             made = self._by_said.get((said, given)) if said is not None else None
             if made is None:
                 tell_inputs(material.GetPrim(), self.time, self.notes)
-                made = self._measured(material, self._made(material, look, asked))
+                tell_misfits(material.GetPrim(), self.time, self.notes)
+                try:
+                    made = self._measured(material, self._made(material, look, asked))
+                except (
+                    Tf.ErrorException,
+                    ArithmeticError,
+                    TypeError,
+                    ValueError,
+                    LookupError,
+                    AttributeError,
+                ) as problem:
+                    reason = str(problem).strip().splitlines()[-1:] or [type(problem).__name__]
+                    self.notes.warn(path, f"cannot be read ({reason[0][:120]}); its shapes take displayColor or grey")
+                    made = replace(self.colored(GREY), unknown=True)
                 given = tuple(look(one.name) for one in asked)
                 if said is not None and self.notes.told == told:  # notes name the material
                     self._by_said[said, given] = made
@@ -598,7 +617,8 @@ class _ShaderInputs:
 
     def mode(self, name: str, wanted: tuple[str, int]) -> bool:
         """Whether a choice by word or number, 0 where nothing is authored, is this one."""
-        return str(value_of(self.shader, name, self.time, 0)) in (wanted[0], str(wanted[1]))
+        given = value_of(self.shader, name, self.time)
+        return str(0 if given is None else given) in (wanted[0], str(wanted[1]))
 
     def constant(self, name: str, default: Any) -> Any:
         if not self.has(name):
@@ -705,9 +725,9 @@ class _ShaderInputs:
             value = None
             if self.producer(name) is None and self.has(name):
                 value = value_of(self.shader, self.names[name], self.time)
-            if value is None:
+            if value is None or numbers_in(value) is None:
                 return default
-            given = float(np.mean(value))
+            given = float(fitted(value, default))
             return min(max(1.0 - given if name in self.names.inverted else given, 0.0), 1.0)
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):

@@ -22,6 +22,7 @@ from synfog_usd.translate.texture import (
     TextureNode,
     UvSource,
     as_measured,
+    numbers_in,
     producer,
     shader_id,
     texture_node,
@@ -63,7 +64,7 @@ def fed_by(
         elif kind.startswith("ND_extract"):
             channel = "rgba"[min(max(int(value_of(node, "index", time, 0)), 0), 3)]
         elif kind.startswith("ND_normalmap"):
-            strength = value_of(node, "scale", time, 1.0)
+            strength = 1.0 if (given := value_of(node, "scale", time)) is None else numbers_in(given) or 1.0
         elif not kind.startswith(("ND_convert", "ND_dot")):
             break
         following = producer(node, "in")
@@ -85,7 +86,7 @@ def _decoded(node: TextureNode, strength: Any) -> TextureNode:
     """A picture of normals as directions, their slopes times `strength`; any other where that is None."""
     if strength is None:
         return node
-    u, v = (float(s) for s in strength) if hasattr(strength, "__len__") else (float(strength),) * 2
+    u, v = (strength * 2)[:2] if isinstance(strength, tuple) else (float(strength),) * 2
     return replace(node, scale=(2.0 * u, 2.0 * v, 2.0, 1.0), bias=(-u, -v, -1.0, 0.0))
 
 
@@ -160,8 +161,8 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
     source = shader.GetInput("file")
     producers = UsdShade.Utils.GetValueProducingAttributes(source) if source else []
     space = next((attribute.GetColorSpace() for attribute in producers if attribute.HasColorSpace()), "")
-    fallback = value_of(shader, "default", time, 0.0)
-    values = [float(c) for c in (fallback if hasattr(fallback, "__len__") else (fallback,) * 3)]
+    fallback = numbers_in(value_of(shader, "default", time)) or (0.0,)
+    values = list(fallback * 3 if len(fallback) == 1 else fallback)
     single = kind.endswith("_float")
     uv: UvSource | None = _coordinates(shader, kind, time, notes)
     tiles, file, uv = tiled(shader, authored, file, uv)
@@ -199,7 +200,7 @@ def _factor(shader: UsdShade.Shader, time: Usd.TimeCode) -> tuple[float, ...]:
     """(4,) by which one of glTF's images is multiplied."""
     times = np.ones(4)
     for name in ("factor", "color", "geomcolor"):
-        given = np.asarray(value_of(shader, name, time, 1.0), dtype=np.float64).reshape(-1)[:4]
+        given = np.array(numbers_in(value_of(shader, name, time)) or (1.0,))[:4]
         times[: len(given)] *= given
         if len(given) == 1:
             times[1:3] *= given
@@ -282,8 +283,8 @@ def _pair(
     node: UsdShade.Shader, name: str, time: Usd.TimeCode, default: float | tuple[float, float]
 ) -> tuple[float, float]:
     """Two numbers of an input; one stands for both."""
-    value = value_of(node, name, time, default)
-    return (float(value[0]), float(value[1])) if hasattr(value, "__len__") else (float(value), float(value))
+    numbers = numbers_in(value_of(node, name, time)) or numbers_in(default) or (0.0,)
+    return (numbers[0], numbers[1]) if len(numbers) > 1 else (numbers[0], numbers[0])
 
 
 def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array | None, str]:

@@ -14,7 +14,16 @@ import numpy as np
 from pxr import Usd, UsdShade
 
 from synfog_usd.arrays import Array, FloatArray
-from synfog_usd.translate.texture import ImageReader, TextureNode, as_measured, producer, resized, shader_id, value_of
+from synfog_usd.translate.texture import (
+    ImageReader,
+    TextureNode,
+    as_measured,
+    numbers_in,
+    producer,
+    resized,
+    shader_id,
+    value_of,
+)
 
 MOST_NODES = 2000
 """Nodes that one input may be fed by."""
@@ -119,9 +128,10 @@ class Graph:
             authored = value_of(shader, name, self.time)
             if authored is None:
                 return constant(*default)
-            if isinstance(authored, (str, bytes)) or not (np.isscalar(authored) or hasattr(authored, "__len__")):
+            numbers = numbers_in(authored)
+            if numbers is None:
                 raise UnknownNodeError(kind)
-            return constant(*(authored if hasattr(authored, "__len__") else (float(authored),)))
+            return constant(*numbers)
 
         if category in _MEANS:
             inputs, mean = _MEANS[category]

@@ -126,13 +126,13 @@ class Shapes:
 
     @_finite
     @_finite
-    def parts(self, leaf: Leaf, matrix: Array, around: Around | None = None, *, in_group: bool = False) -> list[Part]:
+    def parts(self, leaf: Leaf, matrix: Array, around: Around | None = None, *, places: int = 0) -> list[Part]:
         """Shapes of a leaf with their emission and its luminance; empty where it cannot be drawn.
 
         Args:
             matrix: (4, 4) to where they stand.
             around: what the instances give that the leaf is in.
-            in_group: whether the shapes are to be placed by instances.
+            places: number of instances that are to place the shapes; 0 where they stand as they are.
         """
         if geometry.determinant(matrix) == 0.0:
             self.notes.warn(leaf.path, "a shape scaled to nothing is left out")
@@ -141,7 +141,7 @@ class Shapes:
         if kind in drawmode.MODES:
             return self._stand_in(leaf, kind, matrix)
         if kind not in MESHES:
-            return self._implicit(leaf, kind, matrix, around, in_group=in_group)
+            return self._implicit(leaf, kind, matrix, around, places)
         return self._mesh(leaf, matrix, around)
 
     def _stand_in(self, leaf: Leaf, mode: str, matrix: Array) -> list[Part]:
@@ -157,7 +157,7 @@ class Shapes:
             made.append((geometry.mesh_shape(triangles, finish.key, textured=textured, colored=False), None, 0.0))
         return made
 
-    def _implicit(self, leaf: Leaf, kind: str, matrix: Array, around: Around | None, *, in_group: bool) -> list[Part]:
+    def _implicit(self, leaf: Leaf, kind: str, matrix: Array, around: Around | None, places: int) -> list[Part]:
         finish = self.bindings.finish_of(leaf, leaf.path, around)
         textured = kind == "NurbsPatch" and finish.uv is not None
         key = finish.key if textured else finish.plain or finish.key
@@ -168,7 +168,7 @@ class Shapes:
             if finish.uv is not None and not textured and finish.emission and finish.emission["type"] == "bitmap"
             else finish.emission
         )
-        if kind == "Sphere" and not in_group and is_similarity(matrix):
+        if kind == "Sphere" and not places and is_similarity(matrix):
             scale = abs(geometry.determinant(matrix)) ** (1.0 / 3.0)
             radius = float(leaf.prim.GetAttribute("radius").Get(self.time)) * scale
             if not 0.0 < radius <= FAR_POINT:
@@ -189,7 +189,7 @@ class Shapes:
                 return []
         else:
             with np.errstate(invalid="ignore", over="ignore"):  # of sizes that are none, which is told below
-                own = read_implicit(leaf.prim, kind, self.time, self.notes)
+                own = read_implicit(leaf.prim, kind, self.time, self.notes, places)
             if not np.abs(own.positions).max() <= FAR_POINT:
                 self.notes.warn(
                     leaf.path, f"a {kind} whose size is no finite number, or one of more than 12 digits, is left out"

@@ -411,7 +411,9 @@ _TUPLES = (("scale", Gf.Vec4f(1, 1, 1, 1)), ("bias", Gf.Vec4f(0, 0, 0, 0)), ("fa
 
 
 def value_of(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, default: Any = None) -> Any:
-    """Constant value of an input through its connections, or `default`, also for NaN and infinity."""
+    """Constant value of an input through its connections, as far as it fits the kind of `default`; else `default`, also
+    for NaN and infinity.  Without a default it is what stands there.
+    """
     source = shader.GetInput(name)
     if not source:
         return default
@@ -421,8 +423,41 @@ def value_of(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, default: An
             if value is None:
                 value = attribute.Get(Usd.TimeCode.EarliestTime())
             if value is not None:
-                return value if is_finite(value) else default
+                return fitted(value, default) if is_finite(value) else default
     return default
+
+
+def numbers_in(value: Any) -> tuple[float, ...] | None:
+    """The numbers of a value of USD in their order; None of what holds none."""
+    if isinstance(value, str) or value is None:
+        return None
+    try:
+        found = np.asarray(value, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        return None
+    return tuple(found.tolist()) if len(found) else None
+
+
+def fitted(value: Any, default: Any) -> Any:
+    """A value with as many numbers as `default`, or a word where that is one; `default` where it does not fit.
+
+    >>> fitted((0.5, 0.25, 0.75, 1.0), (0.0, 0.0, 0.0)), fitted(0.5, (0.0, 0.0, 0.0, 1.0)), fitted("a", 0.5)
+    ((0.5, 0.25, 0.75), (0.5, 0.5, 0.5, 1.0), 0.5)
+    """
+    if default is None or (isinstance(default, (str, bool)) and isinstance(value, (str, bool, int))):
+        return value
+    numbers = numbers_in(value)
+    if isinstance(default, str) or numbers is None:
+        return default
+    if isinstance(default, (bool, int, float)):
+        mean = sum(numbers) / len(numbers)
+        return value if isinstance(value, (bool, int, float)) else int(mean) if isinstance(default, int) else mean
+    wanted, rest = len(default), tuple(default)
+    if len(numbers) == 1:
+        numbers = numbers * min(wanted, 3)
+    if len(numbers) < min(wanted, 3):
+        return default
+    return value if len(numbers) == wanted else numbers[:wanted] + rest[len(numbers) :]
 
 
 def producer(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:

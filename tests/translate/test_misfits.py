@@ -1,0 +1,221 @@
+"""No single opinion of a material refuses a stage: any input, any type, any connection."""
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, UsdGeom, UsdShade
+
+from synfog_usd.translate import translate
+
+TYPES = Sdf.ValueTypeNames
+SQUARE = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
+ALL_TYPES = sorted(
+    {
+        str(kind): kind
+        for name in dir(TYPES)
+        if isinstance(kind := getattr(TYPES, name), Sdf.ValueTypeName) and name not in ("Opaque", "Group")
+    }.items()
+)
+INPUTS = {
+    "Surface": (
+        *(
+            "diffuseColor",
+            "emissiveColor",
+            "useSpecularWorkflow",
+            "specularColor",
+            "metallic",
+            "roughness",
+            "clearcoat",
+        ),
+        *("clearcoatRoughness", "opacity", "opacityMode", "opacityThreshold", "ior", "normal", "displacement"),
+        "occlusion",
+    ),
+    "Picture": ("file", "st", "wrapS", "wrapT", "fallback", "scale", "bias", "sourceColorSpace"),
+    "Turn": ("in", "rotation", "scale", "translation"),
+    "Reader": ("varname", "fallback"),
+    "Tint": ("varname", "fallback"),
+    "Rough": ("varname", "fallback"),
+}
+CASES = [(shader, name) for shader, names in INPUTS.items() for name in names]
+OTHERS = [
+    (
+        "ND_standard_surface_surfaceshader",
+        ("base", "base_color", "emission", "emission_color", "opacity", "coat_color"),
+    ),
+    ("ND_gltf_pbr_surfaceshader", ("alpha_mode", "alpha", "emissive", "normal", "thickness", "attenuation_color")),
+    ("mitsuba_roughplastic", ("alpha", "diffuse_reflectance", "nonlinear")),
+]
+
+
+@pytest.fixture
+def painted(empty, tmp_path):
+    """A stage on which each square of some number has a material of its own, with a picture and readers."""
+
+    def make(count):
+        stage = empty()
+        for k in range(count):
+            mesh = UsdGeom.Mesh.Define(stage, f"/Mesh{k}")
+            mesh.CreatePointsAttr([(x + 2.0 * k, y, z) for x, y, z in SQUARE])
+            mesh.CreateFaceVertexCountsAttr([4])
+            mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+            mesh.CreateSubdivisionSchemeAttr("none")
+            api = UsdGeom.PrimvarsAPI(mesh)
+            api.CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
+            api.CreatePrimvar("tint", TYPES.Color3f).Set((0.5, 0.25, 0.125))
+            material = UsdShade.Material.Define(stage, f"/M{k}")
+            UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+            made = {}
+            for name, kind, output, its in (
+                ("Surface", "UsdPreviewSurface", "surface", TYPES.Token),
+                ("Picture", "UsdUVTexture", "rgb", TYPES.Float3),
+                ("Turn", "UsdTransform2d", "result", TYPES.Float2),
+                ("Reader", "UsdPrimvarReader_float2", "result", TYPES.Float2),
+                ("Tint", "UsdPrimvarReader_float3", "result", TYPES.Float3),
+                ("Rough", "UsdPrimvarReader_float", "result", TYPES.Float),
+            ):
+                shader = UsdShade.Shader.Define(stage, f"/M{k}/{name}")
+                shader.CreateIdAttr(kind)
+                made[name] = shader, shader.CreateOutput(output, its)
+            material.CreateSurfaceOutput().ConnectToSource(made["Surface"][1])
+            for shader, name, source in (
+                ("Surface", "diffuseColor", "Picture"),
+                ("Surface", "specularColor", "Tint"),
+                ("Surface", "clearcoat", "Rough"),
+                ("Picture", "st", "Turn"),
+                ("Turn", "in", "Reader"),
+            ):
+                made[shader][0].CreateInput(name, TYPES.Float3).ConnectToSource(made[source][1])
+            made["Picture"][0].CreateInput("file", TYPES.Asset).Set("gone.png")
+            made["Reader"][0].CreateInput("varname", TYPES.String).Set("st")
+            made["Tint"][0].CreateInput("varname", TYPES.String).Set("tint")
+            made["Rough"][0].CreateInput("varname", TYPES.String).Set("none")
+        return stage
+
+    return make
+
+
+def write(stage, prim, name, kind, *, value=None, connection=None):
+    """An input of a type of its own, in the place of what stands there."""
+    spec = stage.GetRootLayer().GetPrimAtPath(prim)
+    if f"inputs:{name}" in spec.properties:
+        del spec.properties[f"inputs:{name}"]
+    made = Sdf.AttributeSpec(spec, f"inputs:{name}", kind)
+    if value is not None:
+        made.default = value
+    if connection is not None:
+        made.connectionPathList.explicitItems = [Sdf.Path(connection)]
+
+
+def values_of(kind):
+    """A few values of a type."""
+    one = kind.scalarType.defaultValue
+    if isinstance(one, str):
+        one = "word"
+    elif isinstance(one, (bool, int, float)):
+        one = type(one)(1)
+    elif isinstance(one, Sdf.AssetPath):
+        one = Sdf.AssetPath("other.png")
+    if not kind.isArray:
+        return [one]
+    array = type(kind.defaultValue)
+    return [array([]), array([one]), array([one] * 5)]
+
+
+def drawn_all(stage, count):
+    """The scene of a stage of which every mesh is drawn by its own material."""
+    scene = translate(stage)
+    assert len([key for key in scene.world if key.startswith("shape_")]) == count
+    assert not [note for note in scene.notes if "cannot be read" in note.text]
+    for key, shape in scene.world.items():
+        if key.startswith("shape_"):
+            assert np.isfinite(shape["positions"]).all() and shape["bsdf"]["id"] in scene.world
+    return scene
+
+
+@pytest.mark.parametrize("shader, name", CASES)
+def test_an_input_of_any_type_is_drawn(painted, shader, name):
+    cases = [(kind, value) for _, kind in ALL_TYPES for value in values_of(kind)]
+    stage = painted(len(cases))
+    for k, (kind, value) in enumerate(cases):
+        write(stage, f"/M{k}/{shader}", name, kind, value=value)
+    drawn_all(stage, len(cases))
+
+
+CONNECTIONS = {
+    "a prim that is missing": "/Gone.outputs:out",
+    "an output that is missing": "{m}/Picture.outputs:gone",
+    "an output of another kind": "{m}/Surface.outputs:surface",
+    "a shader of another kind": "{m}/Reader.outputs:result",
+    "a picture's alpha": "{m}/Picture.outputs:a",
+    "its own output": "{m}/{s}.outputs:result",
+    "its own input": "{m}/{s}.inputs:{n}",
+    "another input": "{m}/Picture.inputs:scale",
+    "an attribute of a mesh": "/Mesh0.points",
+    "a prim": "{m}/Picture",
+    "another material's shader": "/M0/Tint.outputs:result",
+    "an interface without a value": "{m}.inputs:knob",
+    "an interface in a circle": "{m}.inputs:circle",
+}
+
+
+@pytest.mark.parametrize("shader, name", CASES)
+def test_an_input_of_any_connection_is_drawn(painted, shader, name):
+    stage = painted(len(CONNECTIONS))
+    for k, target in enumerate(CONNECTIONS.values()):
+        write(stage, f"/M{k}", "knob", TYPES.Float3)
+        write(stage, f"/M{k}", "circle", TYPES.Float3, connection=f"/M{k}.inputs:circle")
+        connection = target.format(m=f"/M{k}", s=shader, n=name)
+        write(stage, f"/M{k}/{shader}", name, TYPES.Float3, value=Gf.Vec3f(0.5), connection=connection)
+    drawn_all(stage, len(CONNECTIONS))
+
+
+@pytest.mark.parametrize("shader, name", [(kind, name) for kind, names in OTHERS for name in names])
+def test_inputs_of_other_shaders_refuse_nothing(painted, shader, name):
+    """They may be drawn as displayColor, with a note."""
+    cases = [(kind, value) for _, kind in ALL_TYPES for value in values_of(kind)]
+    stage = painted(len(cases))
+    for k, (kind, value) in enumerate(cases):
+        UsdShade.Shader(stage.GetPrimAtPath(f"/M{k}/Surface")).GetIdAttr().Set(shader)
+        write(stage, f"/M{k}/Surface", name, kind, value=value)
+    scene = translate(stage)
+    assert len([key for key in scene.world if key.startswith("shape_")]) == len(cases)
+
+
+@pytest.mark.parametrize(
+    "shader, name, kind, value, path, wanted, told",
+    [
+        (
+            "Picture",
+            "fallback",
+            TYPES.Float3,
+            Gf.Vec3f(0.75, 0.5, 0.25),
+            "base_color",
+            [0.75, 0.5, 0.25],
+            "holds 3 numbers",
+        ),
+        ("Picture", "fallback", TYPES.Float, 0.25, "base_color", [0.25] * 3, "holds 1 number, and 4 are wanted"),
+        ("Surface", "diffuseColor", TYPES.Float, 0.25, "base_color", [0.25] * 3, "holds 1 number"),
+        ("Surface", "diffuseColor", TYPES.Color4f, Gf.Vec4f(0.75, 0.5, 0.25, 1), "base_color", [0.75, 0.5, 0.25], "4"),
+        ("Surface", "diffuseColor", TYPES.String, "red", "base_color", [0.18] * 3, "holds no numbers"),
+        ("Surface", "roughness", TYPES.Float3, Gf.Vec3f(0.25), "roughness", 0.25, "holds 3 numbers"),
+        ("Surface", "roughness", TYPES.Double, 0.25, "roughness", 0.25, ""),
+        ("Surface", "roughness", TYPES.Token, "rough", "roughness", 0.5, "holds no numbers"),
+        ("Surface", "ior", TYPES.Int, 2, "eta", 2.0, ""),
+    ],
+)
+def test_what_fits_of_a_value_is_taken(painted, shader, name, kind, value, path, wanted, told):
+    """With a note by the shader's path where the number of components is another."""
+    stage = painted(1)
+    write(stage, f"/M0/{shader}", name, kind, value=value)
+    scene = drawn_all(stage, 1)
+    bsdf = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]
+    found = bsdf[path]["value"] if path == "base_color" else bsdf[path]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    notes = [note.text for note in scene.notes if note.path == f"/M0/{shader}" and note.text.startswith(f"{name} ")]
+    assert [told in note for note in notes] == ([True] if told else [])
+
+
+def test_a_connection_that_gives_nothing_is_told(painted):
+    stage = painted(1)
+    write(stage, "/M0/Surface", "roughness", TYPES.Float, connection="/Gone.outputs:out")
+    scene = drawn_all(stage, 1)
+    assert [note.path for note in scene.notes if "roughness gives nothing" in note.text] == ["/M0/Surface"]
