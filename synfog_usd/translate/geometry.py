@@ -148,6 +148,28 @@ def placed(triangles: Triangles, matrix: Array) -> Triangles:
     return Triangles(positions, faces, normals, triangles.texcoords, triangles.colors)
 
 
+def backs(triangles: Triangles) -> Triangles | None:
+    """The backs of an open surface as a surface of their own, just behind it; None of a closed one, whose backs nobody
+    sees.
+    """
+    a, b, c = (triangles.positions[triangles.faces[:, k]] for k in range(3))
+    vectors = cross(b - a, c - a) / 2.0
+    whole, ahead = float(np.linalg.norm(vectors, axis=1).sum()), vectors.sum(axis=0)
+    length = float(np.linalg.norm(ahead))
+    if not length > _OPEN * whole:
+        return None
+    behind = triangles.positions - ahead / length * (_BEHIND * np.sqrt(whole))
+    normals = None if triangles.normals is None else -triangles.normals
+    return Triangles(behind, triangles.faces[:, ::-1], normals, triangles.texcoords, triangles.colors)
+
+
+_OPEN = 1e-3
+"""Sum of the area vectors over the area, from which on a surface is open; 0 of any that is closed."""
+
+_BEHIND = 1e-4
+"""How far behind a surface its back is, over the root of its area."""
+
+
 def area(triangles: Triangles) -> float:
     """Total area of the triangles."""
     a, b, c = (triangles.positions[triangles.faces[:, k]] for k in range(3))

@@ -277,9 +277,18 @@ class Shapes:
             if "MeshLightAPI" in leaf.schemas:
                 shape, emission, nits = self._mesh_light(leaf, shape, geometry.area(triangles))
             result.append((shape, emission, nits))
+            if emission is not None and "MeshLightAPI" not in leaf.schemas and self._shows_its_back(leaf):
+                back = geometry.backs(triangles)
+                if back is not None:
+                    arrays = geometry.mesh_shape(back, key, textured=textured, colored=finish.colored)
+                    result.append((arrays, emission, nits))
         if self.meshes is not None and said is not None and len(result) == 1 and self.notes.told == told:
             self.meshes[said] = result[0][0]
         return result
+
+    def _shows_its_back(self, leaf: Leaf) -> bool:
+        """Whether a mesh is to be seen from behind as from before."""
+        return "doubleSided" in leaf.authored and bool(leaf.prim.GetAttribute("doubleSided").Get(self.time))
 
     def _pieces(
         self, leaf: Leaf, matrix: Array, subsets: list[np.ndarray], uv: UvSource | None, color: str | None

@@ -457,7 +457,7 @@ def fitted(value: Any, default: Any) -> Any:
         numbers = numbers * min(wanted, 3)
     if len(numbers) < min(wanted, 3):
         return default
-    return value if len(numbers) == wanted else numbers[:wanted] + rest[len(numbers) :]
+    return numbers[:wanted] + rest[len(numbers) :]
 
 
 def producer(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:

@@ -592,3 +592,34 @@ def test_unknown_materials_leave_a_shape_its_own_colours(
     else:
         assert {tuple(color) for color in shape["vertex_color"].tolist()} == {RED, BLUE}
     assert ["displayColor" in note.text for note in scene.notes if note.path == "/M"] == [True]
+
+
+SHEET = [(0, 5, 0), (2, 5, 0), (2, 5, 2), (0, 5, 2)]
+CORNERS = [(x, 5 + y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+SIDES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+
+
+@pytest.mark.parametrize(
+    "points, indices, double, fluxes",
+    [(SHEET, [0, 1, 2, 3], False, 1), (SHEET, [0, 1, 2, 3], True, 2), (CORNERS, SIDES, True, 1)],
+)
+def test_what_is_double_sided_shines_from_both(empty, polygon_mesh, points, indices, double, fluxes):
+    """An open mesh shines from its back too, and twice as much; nobody sees the backs of a closed one."""
+    stage = empty()
+    mesh = polygon_mesh(stage, "/Mesh", points, [4] * (len(indices) // 4), indices)
+    mesh.CreateDoubleSidedAttr(double)
+    material = paint(stage, "/Lit", RED)
+    UsdShade.Shader(stage.GetPrimAtPath("/Lit/Surface")).CreateInput("emissiveColor", TYPES.Color3f).Set((10, 10, 10))
+    bind(mesh.GetPrim(), material)
+    scene = translate(stage)
+    lit = [part for key, part in scene.world.items() if key.startswith("shape_")]
+    area = 4.0 if points is SHEET else 6.0
+    assert sum(scene.flux_of.values()) == pytest.approx(fluxes * np.pi * 10 * area, rel=1e-6)
+    assert len(lit) == fluxes and {instance for instance in scene.instance_of.values()} == {1}
+    if fluxes == 2:
+        ways = []
+        for shape in lit:
+            a, b, c = (shape["positions"][shape["faces"][:, k]].astype(float) for k in range(3))
+            ways.append(np.cross(b - a, c - a).sum(axis=0) / 2)
+        np.testing.assert_allclose(ways, [[0, -4, 0], [0, 4, 0]], atol=1e-6)
+        assert lit[1]["positions"][:, 1].min() > lit[0]["positions"][:, 1].max()

@@ -4,7 +4,7 @@ from math import comb
 
 import numpy as np
 import pytest
-from pxr import Sdf, UsdGeom
+from pxr import Sdf, UsdGeom, UsdShade
 from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from synfog_usd.translate import translate
@@ -234,3 +234,69 @@ def test_a_ribbon_turns_with_its_normals(empty, only_shape):
     np.testing.assert_allclose(
         np.einsum("ij,ij->i", np.cross([1, 0, 0], across), shape["normals"][::2]), 1.0, rtol=1e-6
     )
+
+
+@pytest.mark.parametrize("name", ["displayColor", "tint"])
+@pytest.mark.parametrize("interpolation", ["vertex", "varying"])
+def test_colours_run_along_a_curve(empty, only_shape, name, interpolation):
+    """Red at its left end, blue at its right one; also where a reader names them."""
+    stage = empty()
+    curves = define(stage, [(0, 5, 0), (3, 5, 0)], [2], type="linear")
+    colors = UsdGeom.PrimvarsAPI(curves).CreatePrimvar(name, Sdf.ValueTypeNames.Color3fArray, interpolation)
+    colors.Set([(1, 0, 0), (0, 0, 1)])
+    if name != "displayColor":
+        reading(stage, curves, name)
+    shape = only_shape(translate(stage))
+    right = shape["positions"][:, 0] > 1.5
+    np.testing.assert_allclose(shape["vertex_color"][~right], [[1, 0, 0]] * 8)
+    np.testing.assert_allclose(shape["vertex_color"][right], [[0, 0, 1]] * 8)
+
+
+def reading(stage, curves, name):
+    material = UsdShade.Material.Define(stage, "/M")
+    surface, reader = (UsdShade.Shader.Define(stage, f"/M/{part}") for part in ("Surface", "Reader"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(name)
+    output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(curves.GetPrim()).Bind(material)
+
+
+def test_a_cubic_curve_takes_colours_of_its_segments_ends(empty, only_shape):
+    """One Bezier segment has two varying values, even between them."""
+    stage = empty()
+    curves = define(stage, ARCH.tolist(), [4], type="cubic", basis="bezier")
+    colors = UsdGeom.PrimvarsAPI(curves).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "varying")
+    colors.Set([(0, 0, 0), (1, 1, 1)])
+    found = only_shape(translate(stage))["vertex_color"].reshape(-1, 8, 3)
+    np.testing.assert_allclose(found[:, 0, 0], np.linspace(0, 1, len(found)), atol=1e-6)
+
+
+def test_each_curve_has_its_own_colour(empty, only_shape):
+    stage = empty()
+    curves = define(stage, [(0, 5, 0), (3, 5, 0), (0, 5, 1), (3, 5, 1)], [2, 2], type="linear")
+    colors = UsdGeom.PrimvarsAPI(curves).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform")
+    colors.Set([(1, 0, 0), (0, 0, 1)])
+    shape = only_shape(translate(stage))
+    np.testing.assert_allclose(shape["vertex_color"][:, 2], shape["positions"][:, 2] > 0.5)
+
+
+@pytest.mark.parametrize("kind", ["BasisCurves", "Points"])
+def test_widths_as_a_primvar_come_first(empty, only_shape, kind):
+    """primvars:widths, indexed, before widths."""
+    stage = empty()
+    prim = stage.DefinePrim("/Curves", kind)
+    prim.GetAttribute("points").Set([(0, 5, 0), (3, 5, 0)])
+    prim.GetAttribute("widths").Set([9.0])
+    if kind == "BasisCurves":
+        prim.GetAttribute("curveVertexCounts").Set([2])
+        prim.GetAttribute("type").Set("linear")
+    widths = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("widths", Sdf.ValueTypeNames.FloatArray, "vertex")
+    widths.Set([0.4, 0.2])
+    widths.SetIndices([1, 0])
+    shape = only_shape(translate(stage))
+    right = shape["positions"][:, 0] > 1.5
+    extents = [np.ptp(shape["positions"][side][:, 2]) for side in (~right, right)]
+    assert extents[1] / extents[0] == pytest.approx(2.0, rel=1e-5) and extents[0] == pytest.approx(0.2, rel=0.1)

@@ -8,13 +8,15 @@ from synfog_usd.translate import translate
 
 TYPES = Sdf.ValueTypeNames
 SQUARE = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
-ALL_TYPES = sorted(
+ALL_TYPES = list(
     {
-        str(kind): kind
-        for name in dir(TYPES)
+        (type(kind.defaultValue), kind.isArray): kind
+        for name in sorted(dir(TYPES))
         if isinstance(kind := getattr(TYPES, name), Sdf.ValueTypeName) and name not in ("Opaque", "Group")
-    }.items()
+    }.values()
 )
+"""One of each kind of value: those of other roles hold the same."""
+
 INPUTS = {
     "Surface": (
         *(
@@ -117,7 +119,7 @@ def values_of(kind):
     if not kind.isArray:
         return [one]
     array = type(kind.defaultValue)
-    return [array([]), array([one]), array([one] * 5)]
+    return [array([]), array([one] * 3)]
 
 
 def drawn_all(stage, count):
@@ -133,7 +135,7 @@ def drawn_all(stage, count):
 
 @pytest.mark.parametrize("shader, name", CASES)
 def test_an_input_of_any_type_is_drawn(painted, shader, name):
-    cases = [(kind, value) for _, kind in ALL_TYPES for value in values_of(kind)]
+    cases = [(kind, value) for kind in ALL_TYPES for value in values_of(kind)]
     stage = painted(len(cases))
     for k, (kind, value) in enumerate(cases):
         write(stage, f"/M{k}/{shader}", name, kind, value=value)
@@ -171,7 +173,7 @@ def test_an_input_of_any_connection_is_drawn(painted, shader, name):
 @pytest.mark.parametrize("shader, name", [(kind, name) for kind, names in OTHERS for name in names])
 def test_inputs_of_other_shaders_refuse_nothing(painted, shader, name):
     """They may be drawn as displayColor, with a note."""
-    cases = [(kind, value) for _, kind in ALL_TYPES for value in values_of(kind)]
+    cases = [(kind, value) for kind in ALL_TYPES for value in values_of(kind)]
     stage = painted(len(cases))
     for k, (kind, value) in enumerate(cases):
         UsdShade.Shader(stage.GetPrimAtPath(f"/M{k}/Surface")).GetIdAttr().Set(shader)
