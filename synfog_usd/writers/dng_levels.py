@@ -19,6 +19,7 @@ from synfog_usd.writers.tiff_tags import DNG_VERSION, Directory, directories
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES = 254, 256, 257, 258, 259, 262, 277
 REPEAT, BLACK, DELTA_H, DELTA_V, WHITE, ACTIVE_AREA, NOISE = 50713, 50714, 50715, 50716, 50717, 50829, 51041
+SAMPLE_FORMAT, FLOATS = 339, 3
 CFA = 32803
 """PhotometricInterpretation of a mosaic."""
 
@@ -26,7 +27,7 @@ MOST_NOISE = 1.0
 """Of the slope and offset of the variance, on a scale from black to white of 1."""
 
 CODES = (
-    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, DNG_VERSION),
+    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, SAMPLE_FORMAT, DNG_VERSION),
     *(REPEAT, BLACK, DELTA_H, DELTA_V, WHITE, ACTIVE_AREA, NOISE),
 )
 
@@ -72,6 +73,11 @@ def shape_of(mosaic: Directory) -> tuple[int, int]:
 def compression_of(mosaic: Directory) -> int:
     """TIFF's number of how the pixels are packed; 1 is not at all."""
     return mosaic.whole(COMPRESSION, "Compression", 1)
+
+
+def of_floats(mosaic: Directory) -> bool:
+    """Whether its numbers are floats."""
+    return mosaic.whole(SAMPLE_FORMAT, "SampleFormat", 1) == FLOATS
 
 
 def levels(mosaic: Directory) -> Levels:

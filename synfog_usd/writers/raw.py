@@ -91,17 +91,17 @@ def _mosaic(path: Path, raw: Any, told: list[Directory]) -> tuple[FloatArray, di
         raise ImageError(f"{path}: {raw.sizes.raw_width} x {raw.sizes.raw_height} pixels; at most {MOST_PIXELS}")
     if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
         raise ImageError(f"{path}: holds no mosaic of one number a pixel")
-    if not told:
+    shape = (raw.sizes.raw_height, raw.sizes.raw_width)
+    mosaic = next((found for found in dng_levels.mosaics(told) if dng_levels.shape_of(found) == shape), None)
+    if told and mosaic is None:
+        raise ImageError(f"{path}: LibRaw finds a mosaic of {shape[1]} x {shape[0]} pixels; the DNG's tags have none")
+    if mosaic is None or dng_levels.of_floats(mosaic):  # LibRaw makes whole numbers of floats, and levels that fit
         filters = raw.raw_colors_visible
         metadata = _metadata(path, raw, filters)
         blacks = np.array(raw.black_level_per_channel, dtype=np.float32)
         black = float(blacks[filters[:2, :2].ravel()].mean())
         pixels = raw.raw_image_visible.astype(np.float32) - (blacks - np.float32(black))[filters]
         return pixels, metadata | {"black_level_dn": black, "white_level_dn": float(raw.white_level)}
-    shape = (raw.sizes.raw_height, raw.sizes.raw_width)
-    mosaic = next((found for found in dng_levels.mosaics(told) if dng_levels.shape_of(found) == shape), None)
-    if mosaic is None:
-        raise ImageError(f"{path}: LibRaw finds a mosaic of {shape[1]} x {shape[0]} pixels; the DNG's tags have none")
     levels = dng_levels.levels(mosaic)
     top, left, bottom, right = levels.active
     metadata = _metadata(path, raw, raw.raw_colors[top:bottom, left:right])

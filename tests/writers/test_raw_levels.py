@@ -119,6 +119,14 @@ def test_black_is_the_files_at_every_pixel(name, byteorder, tmp_path):
     np.testing.assert_allclose(greys(path), GREY, rtol=0, atol=1.01 * step)
 
 
+@pytest.mark.parametrize("white", [1, 40, 60000])
+def test_floats_keep_their_scale(white, tmp_path):
+    """LibRaw makes at most 14 bits of them: a quarter to half a step of the darkest filter."""
+    filters = np.tile(PATTERN, (HEIGHT // 2, WIDTH // 2))
+    path = write(tmp_path / "a.dng", (white * GREY * NEUTRAL[filters]).astype(np.float32), white=white)
+    np.testing.assert_allclose(greys(path), GREY, rtol=0, atol=1.0 / 16383 / NEUTRAL.min())
+
+
 @pytest.mark.parametrize("corner", [(0, 0), (3, 5), (2, 3), (5, 2)])
 def test_patterns_of_filters_and_black_begin_at_the_active_area(corner, tmp_path):
     """Whatever side of it is odd, no row or column is lost, and 4 x 4 blacks lie where they belong."""
