@@ -223,8 +223,7 @@ def _placed(source: SceneDict, standing: Placements) -> Flags:
         faces = _faces(shapes) if plain else 0
         if faces < LEAST_TRIANGLES:
             continue
-        away = standing.to_world[rows, :3, 3] - source.camera.to_world[:3, 3]
-        far = np.linalg.norm(away, axis=1) > FAR_M
+        far = source.away_m(standing.to_world[rows, :3, 3]) > FAR_M
         if (np.count_nonzero(far) - 1) * faces >= WORTH_A_PROTOTYPE:
             found[rows] = far
     return found
@@ -329,9 +328,9 @@ class _Detail:
             if not points or not len(rows) or _faces(shapes) <= detail.FEWEST:
                 continue
             low, high = extent(*points)
-            self.level[rows] = detail.levels(
-                source.camera, standing.to_world[rows], low.astype(np.float64), high.astype(np.float64)
-            )
+            box = low.astype(np.float64), high.astype(np.float64)
+            eyes = (source.camera, *source.beside)
+            self.level[rows] = np.min([detail.levels(eye, standing.to_world[rows], *box) for eye in eyes], axis=0)
 
     def prototype(self, group: str, level: int = FULL) -> dict[str, Mapping[str, Any]]:
         """The shapes of a prototype, as an instance of that level is drawn."""

@@ -192,17 +192,15 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     if drawn and source.camera.width_m > 0.0:
         _check_lens(source, surrounding)
     medium = None if surrounding is None else media[surrounding]
-    camera = source.camera
-    offset = (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
     scene = mi.load_dict(top)
     return MitsubaScene(
         scene,
         placed or scene,
-        make_sensor(camera, medium),
+        make_sensor(source.camera, medium),
         medium,
         shapes,
         fog_shapes,
-        offset,
+        _offset(source.camera),
         source,
         face_instances,
         made,
@@ -229,6 +227,19 @@ def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
     camera = replace(loaded.source.camera, width_px=size[0], height_px=size[1])
     sensor = make_sensor(camera, loaded.camera_medium) if backend.is_scalar() else loaded.sensor
     return replace(loaded, source=replace(loaded.source, camera=camera), sensor=sensor)
+
+
+def seen_by(loaded: MitsubaScene, camera: Camera) -> MitsubaScene:
+    """The same scene from another camera, in the same medium; what was found out of the view is forgotten."""
+    return replace(
+        loaded,
+        sensor=make_sensor(camera, loaded.camera_medium),
+        offset=_offset(camera),
+        source=replace(loaded.source, camera=camera),
+        open_to_sky={},
+        light_samplers={},
+        met_by_guides={},
+    )
 
 
 def in_fog(loaded: MitsubaScene, fog: tuple[FogVolume, ...]) -> MitsubaScene:
@@ -418,6 +429,11 @@ def _extent(mi: Any, placed: PlacedScene) -> Any:
         {"vertex_positions": [list(box.min), list(box.max)], "faces": [[0, 0, 0], [1, 1, 1]]},
         mi,
     )
+
+
+def _offset(camera: Camera) -> tuple[float, float]:
+    """By how much a picture is moved whose sensor of Mitsuba's has no principal point."""
+    return (camera.shift[0], -camera.shift[1]) if is_thin_lens(camera) else (0.0, 0.0)
 
 
 def is_thin_lens(camera: Camera) -> bool:

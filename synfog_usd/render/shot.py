@@ -35,10 +35,10 @@ from synfog_usd.render.film.accumulator import (
 from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
-from synfog_usd.render.load import MitsubaScene, to_mitsuba
+from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached, times_needed
 from synfog_usd.render.spectra import bands as banding
-from synfog_usd.scene import SceneDict
+from synfog_usd.scene import Camera, SceneDict
 
 PROBE_PX = (64, 36)
 
@@ -545,14 +545,29 @@ def load(
     stands before it (a camera inside a car body).
     """
     scene = scene if spectra else replace(scene, reflectance_of={})
-    close = replace(scene.camera, near_m=min(scene.camera.near_m, LENS_M))
-    loaded = to_mitsuba(replace(scene, camera=close), size=size, boundaries=boundaries)
-    if scene.camera.near_m <= close.near_m:
+    loaded = to_mitsuba(replace(scene, camera=_close(scene.camera)), size=size, boundaries=boundaries)
+    return _clipped(loaded, scene.camera.near_m)
+
+
+def look(loaded: MitsubaScene, camera: Camera) -> MitsubaScene:
+    """A scene that `load` gave, without boundaries, from another camera of its rig."""
+    return _clipped(seen_by(loaded, _close(camera)), camera.near_m)
+
+
+def _close(camera: Camera) -> Camera:
+    """The camera with its near plane at the lens."""
+    return replace(camera, near_m=min(camera.near_m, LENS_M))
+
+
+def _clipped(loaded: MitsubaScene, near_m: float) -> MitsubaScene:
+    """A scene from a camera whose near plane is at the lens, with the authored one where something stands before it."""
+    camera = loaded.source.camera
+    if near_m <= camera.near_m:
         return loaded
     probe = replace(
-        loaded, source=replace(loaded.source, camera=replace(close, width_px=PROBE_PX[0], height_px=PROBE_PX[1]))
+        loaded, source=replace(loaded.source, camera=replace(camera, width_px=PROBE_PX[0], height_px=PROBE_PX[1]))
     )
     seen = aovs.measure(probe)
-    if not np.any((seen.distance_m if scene.camera.fisheye else seen.depth_m) < scene.camera.near_m):
+    if not np.any((seen.distance_m if camera.fisheye else seen.depth_m) < near_m):
         return loaded
-    return to_mitsuba(scene, size=size, boundaries=boundaries)
+    return seen_by(loaded, replace(camera, near_m=near_m))

@@ -5,6 +5,8 @@ Takes a stage and a distance.  A model that is switched off is not composed, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
@@ -13,14 +15,16 @@ from synfog_usd.stage.open import plain_errors
 
 
 @plain_errors
-def keep_near(stage: Usd.Stage, metres: float, *, camera: str | None = None, frame: float | None = None) -> int:
-    """Switch off every component, instance and payload whose box is farther from the camera than `metres`, and hide
-    points of instancers that are; what holds the camera, a sun or a sky stays.
+def keep_near(
+    stage: Usd.Stage, metres: float, *, cameras: Sequence[str | None] = (None,), frame: float | None = None
+) -> int:
+    """Switch off every component, instance and payload whose box is farther from all cameras than `metres`, and hide
+    points of instancers that are; what holds a camera, a sun or a sky stays.
 
     Args:
         stage: to change, on its session layer only.
         metres: > 0.
-        camera: prim path; None for the render settings' camera, else the first.
+        cameras: prim paths; None for the render settings' camera, else the first.
         frame: time code; None for the stage's first.
 
     Returns:
@@ -30,12 +34,12 @@ def keep_near(stage: Usd.Stage, metres: float, *, camera: str | None = None, fra
         StageError: there is no camera.
     """
     time = Usd.TimeCode(stage.GetStartTimeCode() if frame is None else frame)
-    eye_prim = _camera(stage, camera)
+    eye_prims = [_camera(stage, camera) for camera in cameras]
     transforms = UsdGeom.XformCache(time)
-    eye = np.array(transforms.GetLocalToWorldTransform(eye_prim).ExtractTranslation())
+    eyes = np.array([transforms.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in eye_prims])
     reach = metres / UsdGeom.GetStageMetersPerUnit(stage)
     boxes = UsdGeom.BBoxCache(time, [UsdGeom.Tokens.default_, UsdGeom.Tokens.render], True)
-    needed = set(eye_prim.GetPath().GetPrefixes())
+    needed = {path for prim in eye_prims for path in prim.GetPath().GetPrefixes()}
     for prim in stage.Traverse():
         if prim.IsA(UsdLux.DomeLight) or prim.IsA(UsdLux.DistantLight) or prim.GetTypeName() == "DomeLight_1":
             needed |= set(prim.GetPath().GetPrefixes())
@@ -44,11 +48,11 @@ def keep_near(stage: Usd.Stage, metres: float, *, camera: str | None = None, fra
     points = iter(Usd.PrimRange.Stage(stage))
     for prim in points:
         if prim.IsA(UsdGeom.PointInstancer):
-            if ids := _far_points(UsdGeom.PointInstancer(prim), transforms, time, eye, reach):
+            if ids := _far_points(UsdGeom.PointInstancer(prim), transforms, time, eyes, reach):
                 hidden.append((UsdGeom.PointInstancer(prim).GetInvisibleIdsAttr(), ids))
             points.PruneChildren()
         elif (prim.HasAuthoredPayloads() or prim.IsInstance() or prim.IsComponent()) and prim.GetPath() not in needed:
-            if _distance(prim, boxes, transforms, eye) > reach:
+            if _distance(prim, boxes, transforms, eyes) > reach:
                 far.append(prim.GetPath())
             if prim.IsInstance() or prim.GetPath() in far[-1:]:
                 points.PruneChildren()
@@ -77,21 +81,21 @@ def _camera(stage: Usd.Stage, path: str | None) -> Usd.Prim:
     return found
 
 
-def _distance(prim: Usd.Prim, boxes: UsdGeom.BBoxCache, transforms: UsdGeom.XformCache, eye: np.ndarray) -> float:
-    """From the camera to the nearest point of a prim's box, or to its origin where it has none."""
+def _distance(prim: Usd.Prim, boxes: UsdGeom.BBoxCache, transforms: UsdGeom.XformCache, eyes: np.ndarray) -> float:
+    """From the nearest camera to the nearest point of a prim's box, or to its origin where it has none."""
     box = boxes.ComputeWorldBound(prim).ComputeAlignedRange()
     if box.IsEmpty():
         low = high = np.array(transforms.GetLocalToWorldTransform(prim).ExtractTranslation())
     else:
         low, high = np.array(box.GetMin()), np.array(box.GetMax())
-    return float(np.linalg.norm(np.clip(eye, low, high) - eye))
+    return float(np.linalg.norm(np.clip(eyes, low, high) - eyes, axis=1).min())
 
 
 def _far_points(
     instancer: UsdGeom.PointInstancer,
     transforms: UsdGeom.XformCache,
     time: Usd.TimeCode,
-    eye: np.ndarray,
+    eyes: np.ndarray,
     reach: float,
 ) -> list[int]:
     """Ids of the points that are farther away than `reach`."""
@@ -100,6 +104,6 @@ def _far_points(
         return []
     matrix = np.array(transforms.GetLocalToWorldTransform(instancer.GetPrim()))
     places = np.asarray(positions, dtype=np.float64) @ matrix[:3, :3] + matrix[3, :3]
-    far = np.flatnonzero(np.linalg.norm(places - eye, axis=1) > reach)
+    far = np.flatnonzero(np.linalg.norm(places[:, None] - eyes, axis=2).min(axis=1) > reach)
     ids = instancer.GetIdsAttr().Get(time)
     return [int(ids[number]) for number in far] if ids is not None and len(ids) == len(places) else far.tolist()

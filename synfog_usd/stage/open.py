@@ -577,6 +577,29 @@ def cameras(stage: Usd.Stage) -> list[str]:
     return [str(prim.GetPath()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
 
 
+def named_cameras(stage: Usd.Stage, names: Sequence[str]) -> tuple[str, ...]:
+    """Paths of the cameras that are meant, each once: by their paths, by their names, or by a prim above them.
+
+    Raises:
+        StageError: a name that no camera has, or several have.
+    """
+    known = cameras(stage)
+    found: dict[str, None] = {}
+    for name in names:
+        named = [path for path in known if path == name or path.rpartition("/")[2] == name]
+        if len(named) > 1:
+            raise StageError(f"--camera {name}: {' and '.join(named)} have this name; give the path")
+        below = [path for path in known if path.startswith(f"{name.rstrip('/')}/")] if name.startswith("/") else []
+        if not named and not below:
+            listed = ", ".join(known) or "none"
+            raise StageError(
+                f"--camera {name}: no such camera, and no prim with cameras below it; the stage has "
+                f"{listed}.{did_you_mean(name, known)}"
+            )
+        found |= dict.fromkeys(named or below)
+    return tuple(found)
+
+
 def dependencies(stage: Usd.Stage) -> list[Path]:
     """Files that the stage is made of, over all variants: layers, textures, volumes; sorted."""
     files: set[Path] = set()

@@ -1,4 +1,4 @@
-"""The same scene in another fog, without translating it again.
+"""The same scene in another fog, or from another camera, without translating it again.
 
 Where the variants of the fog say nothing but of fog, all else of a scene stays what it
 is.  Which prims a variant says something of is read from its specs; what those are, from
@@ -7,12 +7,15 @@ the composed stage.  Where anything else may have changed, the stage is translat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from pxr import Sdf, Usd
 
+from synfog_usd.arrays import Array
 from synfog_usd.fog import FogVolume
-from synfog_usd.scene import Note, SceneDict
+from synfog_usd.scene import Camera, Note, SceneDict
 from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import said_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
@@ -25,7 +28,9 @@ from synfog_usd.translate.assemble import (
     looked_from,
     with_boundaries,
 )
+from synfog_usd.translate.camera import half_exposure
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.space import Space
 from synfog_usd.translate.walk import walk
 
 _CONTAINERS = frozenset({"", "Scope", "Xform"})
@@ -33,10 +38,11 @@ _CONTAINERS = frozenset({"", "Scope", "Xform"})
 
 
 class Exchange:
-    """A stage that is translated once, for as many fogs as its variants allow.
+    """A stage that is translated once, for as many fogs as its variants allow, and all cameras of a rig.
 
     Args:
         stage: with its variants chosen.
+        rig: prim paths of further cameras, which look at the same moment.
         camera, frame, resolution, fog_mor_m, lights, light_scale, sun_lux: see `translate`.
         before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
 
@@ -58,6 +64,7 @@ class Exchange:
         lights: str = "auto",
         light_scale: float = 1.0,
         sun_lux: float | None = None,
+        rig: Sequence[str] = (),
         before: Exchange | None = None,
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
@@ -66,26 +73,64 @@ class Exchange:
         self.scene, boundaries, seen = with_boundaries(
             stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light, made=self._made
         )
+        self._moment = seen.time, half_exposure(seen.stage, seen.time, seen.eye.path)
+        self._origin_m = seen.space.origin_m
+        looked = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]
+        self.scene = replace(self.scene, beside=tuple(eye for *_, eye in looked if eye is not None))
         begun = self._read(stage, fog_mor_m, seen)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 
-    def within(self, stage: Usd.Stage, *, fog_mor_m: float | None = None) -> SceneDict | None:
+    def within(
+        self, stage: Usd.Stage, *, fog_mor_m: float | None = None, camera: str | None = None
+    ) -> SceneDict | None:
         """The scene in the fog that is now chosen on the stage.
 
         Args:
             stage: the same, with no other variants chosen than of the fog.
             fog_mor_m: see `translate`.
+            camera: one of the rig that looks instead; its scene has the same origin.
 
         Returns:
-            the scene with its other fog, and with the notes on that alone; None where more than the fog may differ.
+            the scene with its other fog, and with the notes on that alone, or on all where another camera looks; None
+            where more than fog and camera may differ.
 
         Raises:
             StageError: fog that makes no sense.
         """
-        begun, now = self._begun, self._read(stage, fog_mor_m)
+        if camera is None or camera == self.scene.camera.path:
+            begun, now = self._begun, self._read(stage, fog_mor_m)
+            if begun is None or now is None or not _only_fog(begun, now):
+                return None
+            return replace(self.scene, fog=now.fog, notes=now.notes)
+        notes = Diagnostics()
+        posed, time, space, eye = self._looked(stage, camera, notes)
+        if eye is None:
+            return None
+        seen = Outlook(posed, time, space, eye, walk(posed, time, Diagnostics()))
+        begun, now = self._begun, self._read(stage, fog_mor_m, seen)
         if begun is None or now is None or not _only_fog(begun, now):
             return None
-        return replace(self.scene, fog=now.fog, notes=now.notes)
+        others = (one for one in (self.scene.camera, *self.scene.beside) if one.path != camera)
+        known = (note for note in self.scene.notes if note.path != self.scene.camera.path)
+        own = notes.closed(lambda path: authored_path(stage, path))
+        return replace(
+            self.scene,
+            camera=eye,
+            beside=tuple(others),
+            bounds_m=_around(self.scene.bounds_m, eye.to_world[:3, 3]),
+            fog=now.fog,
+            notes=tuple(dict.fromkeys((*known, *own, *now.notes))),
+        )
+
+    def _looked(
+        self, stage: Usd.Stage, camera: str, notes: Diagnostics
+    ) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera | None]:
+        """What `looked_from` gives for another camera, in the same space; None for one that looks at another moment."""
+        stage, time, space, eye = looked_from(stage, camera, self._frame, self._resolution, notes)
+        place = eye.to_world.copy()
+        place[:3, 3] += space.origin_m - self._origin_m
+        same = (time, half_exposure(stage, time, eye.path)) == self._moment
+        return stage, time, replace(space, origin_m=self._origin_m), replace(eye, to_world=place) if same else None
 
     def _read(self, stage: Usd.Stage, fog_mor_m: float | None, seen: Outlook | None = None) -> _Fogs | None:
         check_visibility(fog_mor_m)
@@ -105,7 +150,8 @@ class Exchange:
             for leaf in leaves
             if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None
         ]
-        fog = fog_around(volumes, fog_mor_m, eye, self.scene.bounds_m, notes)
+        bounds = _around(self.scene.bounds_m, eye.to_world[:3, 3])
+        fog = fog_around(volumes, fog_mor_m, eye, bounds, notes)
         boundaries = tuple(part.path for part in volumes)
         paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
         return _Fogs(
@@ -134,6 +180,11 @@ class _Fogs:
     boundaries: tuple[str, ...]
     fog: tuple[FogVolume, ...]
     notes: tuple[Note, ...]
+
+
+def _around(bounds_m: Array, eye: Array) -> Array:
+    """(2, 3) corners of the box around a box and a place."""
+    return np.stack([np.minimum(bounds_m[0], eye), np.maximum(bounds_m[1], eye)])
 
 
 def _only_fog(one: _Fogs, other: _Fogs) -> bool:

@@ -57,7 +57,7 @@ def test_the_house_at_the_edge_counts_by_its_near_face(town):
 
 def test_a_stage_without_a_camera_is_refused(town):
     with pytest.raises(StageError, match="no camera /House0"):
-        keep_near(town, 10.0, camera="/House0")
+        keep_near(town, 10.0, cameras=["/House0"])
 
 
 def test_a_mask_reads_nothing_but_its_prims_and_what_lights_them(town):

@@ -41,8 +41,7 @@ def crowded(source: SceneDict) -> dict[str, tuple[Mapping[str, Any], int]]:
         return {}
     keys = list(kinds)
     place = np.array([_middle(source.world[key]) for key in keys])
-    apart = ((place - source.camera.to_world[:3, 3]) ** 2).sum(axis=1)
-    far = np.sort(np.argsort(apart, kind="stable")[NEAREST:])
+    far = np.sort(np.argsort(source.away_m(place), kind="stable")[NEAREST:])
     by_kind: dict[tuple[Any, ...], list[int]] = {}
     for number in far:
         by_kind.setdefault(kinds[keys[number]], []).append(int(number))
