@@ -9,6 +9,7 @@ pixel makes of light, and how much its noise hides.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +21,7 @@ from synfog_usd.camera import cfa
 from synfog_usd.camera.flare import block_means
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.errors import GraphError, ParameterError
-from synfog_usd.graph import GraphRun, NodeGraph
+from synfog_usd.graph import GraphRun, Node, NodeGraph
 from synfog_usd.image import Image, Quantity
 
 DAY_KEY = 0.12
@@ -128,7 +129,7 @@ def exposed(graph: NodeGraph, *, exposure_s: float | None = None, iso: float | N
     return graph.with_overrides(given)
 
 
-def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) -> Exposure:
+def meter(radiance: Image, graph: NodeGraph, *, beside: Sequence[Image] = (), compensation_ev: float = 0.0) -> Exposure:
     """Exposure for a clear frame, by running the graph's own lens and pixels on a small copy of it.
 
     The geometric mean of the signal behind the green (or clear) filters, the brightest
@@ -144,6 +145,7 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
     Args:
         radiance: the clear frame.
         graph: has 'sensor.expose' and a sensor profile.
+        beside: clear frames of other cameras that are exposed alike: the pixels of all count.
         compensation_ev: + is brighter [EV].
 
     Raises:
@@ -156,36 +158,42 @@ def meter(radiance: Image, graph: NodeGraph, *, compensation_ev: float = 0.0) ->
             f"graph {graph.name!r} cannot be metered: it needs a sensor.expose node, a sensor and one radiance input; "
             f"give exposure_s a number"
         )
-    small = np.repeat(
-        np.repeat(block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX))), 2, axis=0), 2, axis=1
-    )
-    frame = radiance.with_pixels(small)
-    lit = _steady(graph, frame)
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
     a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes} | {f"{node.name}.readout_s": 0.0 for node in nodes}
-    seen = {
-        node.name: sharp.run(
-            lit, seed=0, settings={"exposure_s": 1.0}, overrides=a_second, until=node.name, keep=[node.name]
+
+    def seen(node: Node, frame: Image) -> Image:
+        return sharp.run(
+            _steady(graph, frame),
+            seed=0,
+            settings={"exposure_s": 1.0},
+            overrides=a_second,
+            until=node.name,
+            keep=[node.name],
         )[node.name]
-        for node in nodes
-    }
-    chosen = max(nodes, key=lambda node: float(seen[node.name].pixels.mean(dtype=np.float64)))
+
+    frames = [_small(one) for one in (radiance, *beside)]
+    own = {node.name: seen(node, frames[0]) for node in nodes}
+    chosen = max(nodes, key=lambda node: float(own[node.name].pixels.mean(dtype=np.float64)))
     own_e, merged_e = _saturation_e(sharp, radiance, sensor)
-    sites = _sites(seen[chosen.name])
-    green = sites["G" if "G" in sites else "C"] / own_e
-    strongest = np.max(list(sites.values()), axis=0) / merged_e
+    sites = [_sites(own[chosen.name]), *(_sites(seen(chosen, frame)) for frame in frames[1:])]
     fixed_s = None if chosen.params["exposure_s"].is_auto else float(chosen.params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
     return _chosen(
-        green,
-        strongest,
-        photometry.luminance(frame)[::2, ::2].ravel().astype(np.float64),
+        np.concatenate([one["G" if "G" in one else "C"] for one in sites]) / own_e,
+        np.concatenate([np.max(list(one.values()), axis=0) for one in sites]) / merged_e,
+        np.concatenate([photometry.luminance(frame)[::2, ::2].ravel() for frame in frames]).astype(np.float64),
         sensor,
         2.0**compensation_ev,
         fixed_s,
         fixed_iso,
     )
+
+
+def _small(radiance: Image) -> Image:
+    """A copy of at most `METER_WIDTH_PX` columns, each of its pixels as one of each colour of the filter's pattern."""
+    means = block_means(radiance.pixels, max(1, -(-radiance.width_px // METER_WIDTH_PX)))
+    return radiance.with_pixels(np.repeat(np.repeat(means, 2, axis=0), 2, axis=1))
 
 
 def adapted(

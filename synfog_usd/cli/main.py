@@ -61,7 +61,15 @@ def bake(
     pipeline: options.Pipeline = None,
     lighting: options.Lightings = None,
     fog: options.Fogs = None,
-    camera: options.Camera = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Cameras by path or name, comma-separated, or a prim above them; of several each has a folder."
+        ),
+    ] = None,
+    meter: Annotated[
+        str, typer.Option(help="Expose several cameras together, by what all see, or each by itself.")
+    ] = "together",
     frame: options.Frame = None,
     frames: Annotated[
         str | None,
@@ -174,7 +182,7 @@ def bake(
             pipeline=pipeline,
             lighting=_names(lighting, "--lighting"),
             fog=_names(fog, "--fog"),
-            camera=camera,
+            meter=meter,
             frame=frame,
             lights=lights,
             light_scale=light_scale,
@@ -203,6 +211,7 @@ def bake(
             allow=tuple(allow or ()),
             strict=strict,
         ),
+        cameras=_names(camera, "--camera"),
         frames=frames,
         adaptation_s=adaptation,
         quiet=quiet,

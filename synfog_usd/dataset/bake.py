@@ -10,24 +10,23 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import functools
-import gc
 import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, system
 from synfog_usd.dataset import contact, labels, lanes, objects, visibility
 from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
-from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot, noise_seed, shots
-from synfog_usd.dataset.scenes import Scenes, cleared, pinhole_of, size_of
-from synfog_usd.errors import GraphError, StageError
+from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
+from synfog_usd.dataset.scenes import cleared, pinhole_of, size_of
+from synfog_usd.dataset.session import METER_WIDTH_PX, Renderer, Session, begin, one_camera
+from synfog_usd.errors import StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
-from synfog_usd.seeds import frame_seed, seed32
+from synfog_usd.seeds import seed32
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,11 +43,6 @@ OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
 
 METERED = 0.01
 """Part of a shot that is done when its lighting is metered."""
-
-METER_WIDTH_PX = 160
-_METERED_ON = {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide"}
-METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
-"""Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
 
 ALONE_PX = 1 << 20
 """Pixels of a picture beyond which memory comes before time: it is made without the scene, which is loaded anew for the
@@ -90,6 +84,8 @@ def bake(
     progress: Progress = silent,
     log: Callable[[str], None] = lambda text: None,
     reading: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    session: Session | None = None,
+    lighting: str | None = None,
 ) -> Baked:
     """Make every shot of a plan that is not there yet.
 
@@ -98,6 +94,8 @@ def bake(
         progress: told the fraction of all shots that is done.
         log: given one line for whatever a user wants to know on the way.
         reading: makes a context that is held whenever the stage is read or translated, as limits on time and memory.
+        session: that this plan shares with those of other cameras; its own if left out.
+        lighting: the only one whose shots are made now; what is of all shots is written once all are there.
 
     Raises:
         SynfogError: with place and fix; what was finished stays.
@@ -105,53 +103,29 @@ def bake(
     from synfog_usd import camera
     from synfog_usd import stage as usd
     from synfog_usd.camera.exposure import moments_of
-    from synfog_usd.render import backend, models
+    from synfog_usd.render import backend
     from synfog_usd.render.film import aovs
     from synfog_usd.render.film.accumulator import SMOOTH, idle
     from synfog_usd.render.shot import Settings, check_memory, sampling_share
 
     bake_began = time.monotonic()
-    models.check_name(plan.model)
-    backend.begin(plan.variant)  # type: ignore[arg-type]
-    graph = camera.load_graph(plan.pipeline or Path("phone"))
-    for name, port in graph.inputs.items():
-        if port.quantity is not Quantity.RADIANCE:
-            raise GraphError(
-                f"graph {graph.name!r}: its input {name!r} is {port}, and a bake has radiance alone for it. Run it "
-                f"with 'synfog-usd graph run' on radiance.exr; depth of field is drawn where the stage's camera has "
-                f"fStop and focusDistance"
-            )
-    asked = plan
-    graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
-    metered = bool(camera.exposure_left_open(graph))
-    if plan.ev and not metered:
-        raise GraphError(
-            f"--ev {plan.ev:g}: graph {graph.name!r} itself says exposure time and ISO, so nothing is metered; change "
-            f"exposure_s or iso there"
-        )
+    if session is None:
+        session = begin(plan, None if plan.camera is None else [plan.camera], reading)
+        plan = replace(plan, camera=one_camera(session))
+    eye, stage, graph, renderer = plan.camera, session.stage, session.graph, session.renderer
+    asked = plan = replace(plan, rig=session.plan.rig)
+    specimen, scenes = session.specimen(eye), session.scenes(eye)
     with reading():
-        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
-        if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
-            usd.override(
-                stage,
-                choices=plan.choices,
-                metres_per_unit=plan.metres_per_unit,
-                up=plan.up,
-                shutter_s=plan.shutter_s,
-            )
-        if plan.max_distance_m is not None:
-            usd.keep_near(stage, plan.max_distance_m, camera=plan.camera, frame=plan.frame)
-        todo = shots(plan, usd.variants(stage))
-        specimen = _specimen(plan, stage)
-        plan = replace(plan, seed=_own_seed(plan, stage, specimen))
-        scenes = Scenes(stage, plan, graph)
+        every = shots(plan, usd.variants(stage))
+        plan = replace(session.of(eye), out=plan.out)
+        todo = tuple(shot for shot in every if lighting in (None, shot.lighting))
         unsure = plan.samples > SURE
-        scenes.survey(todo if plan.strict or unsure else [shot for shot in todo if shot.lighting == todo[0].lighting])
+        scenes.survey(every if plan.strict or unsure else [shot for shot in todo if shot.lighting == todo[0].lighting])
 
-    if plan.strict and any(note.severity == "warning" for note in scenes.notes(todo)):
+    if plan.strict and any(note.severity == "warning" for note in scenes.notes(every)):
         raise StrictError(
             "\n".join(
-                f"{note.path or plan.stage}: {note.text}" for note in scenes.notes(todo) if note.severity == "warning"
+                f"{note.path or plan.stage}: {note.text}" for note in scenes.notes(every) if note.severity == "warning"
             )
         )
     if all(shot.mor_m is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
@@ -161,12 +135,12 @@ def bake(
             f"prim with SynFogMediumAPI says where it is (see docs/artists.md)."
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metered |= (plan.exposure_s, plan.iso) != (None, None)
+    metered = bool(camera.exposure_left_open(graph) or plan.meter_for) or (plan.exposure_s, plan.iso) != (None, None)
     metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
         files.remove_leftovers(plan.out)
-        ledger, renderer = Ledger(plan.out, metadata, scenes.notes(todo)), _Renderer(plan)
+        ledger = Ledger(plan.out, metadata, scenes.notes(todo))
         ledger.light = scenes.light
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
@@ -189,7 +163,7 @@ def bake(
             return forecast.at(index, fraction)
 
         with reading():
-            first = scenes.of(todo[0])
+            first = scenes.of(every[0])
         alone = first.camera.width_px * first.camera.height_px > ALONE_PX
 
         for shot in unfinished:
@@ -212,7 +186,7 @@ def bake(
 
             progress("labels", done)
             loaded = renderer.within(replace(first, fog=()))
-            pierced, view = aovs.pierced(loaded, progress=told), views.get(todo[0].lighting)
+            pierced, view = aovs.pierced(loaded, progress=told), views.get(every[0].lighting)
             seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
             ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced))
 
@@ -234,11 +208,11 @@ def bake(
                 scenes.survey(todo)
             forecast.expect(expected())
 
-        if alone or todo[0] not in unfinished:
+        if alone or every[0] not in unfinished:
             label(-1)
         with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(unfinished):
-                if shot == todo[0] and shot.fog != CLEAR:
+                if shot == every[0] and shot.fog != CLEAR:
                     label(index - 1)
                 began = time.perf_counter()
 
@@ -247,10 +221,8 @@ def bake(
 
                 step("translating", 0.0)
                 with reading():
-                    scene, clear = (
-                        scenes.of(shot),
-                        scenes.of(cleared(stage, shot)) if metered and shot.lighting not in views else None,
-                    )
+                    scene = scenes.of(shot)
+                    clear = _clear_scenes(shot, session, eye) if metered and shot.lighting not in views else None
                 if shot.lighting not in lit:
                     lit.add(shot.lighting)
                     log(f"{shot.lighting}: {scenes.light[shot.lighting]}")
@@ -258,10 +230,9 @@ def bake(
                     step("metering", METERED)
                     view = views[shot.lighting] = _meter(
                         shot.lighting,
-                        replace(clear, fog=()),
-                        renderer,
+                        clear,
+                        session,
                         plan,
-                        graph,
                         scenes.taken,
                         behind.wait,
                         within(step, METERED, SET_UP),
@@ -284,62 +255,16 @@ def bake(
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
                 behind.do(functools.partial(finish, index, shot, picture, began))
-                if shot == todo[0] and shot.fog == CLEAR:  # the scene is there, whole
+                if shot == every[0] and shot.fog == CLEAR:  # the scene is there, whole
                     label(index)
         survey()
         notes = ledger.notes = scenes.notes(todo)
-        missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
-        ledger.finish(todo, contact.write(plan.out, todo, ledger.rows, told=missing))
+        if all(ledger.done(shot) for shot in every):
+            notes = ledger.notes = scenes.notes(every)
+            missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
+            ledger.finish(every, contact.write(plan.out, every, ledger.rows, told=missing))
     progress("done", 1.0)
     return Baked(ledger.manifest(todo), seconds, kept, notes)
-
-
-def _specimen(plan: BakePlan, stage: Any) -> str | None:
-    """Which of a rig's cameras looks: its prim path, or None for the one that the stage itself would choose."""
-    from synfog_usd.translate import own_camera
-
-    return plan.camera if plan.camera is not None and plan.camera != own_camera(stage) else None
-
-
-def _own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:
-    """Seed of one view: its own for every frame but the stage's first, and every camera but the stage's own."""
-    from synfog_usd.translate import own_frame
-
-    seed = plan.seed
-    if plan.clip is None and plan.frame is not None and plan.frame != own_frame(stage):
-        seed = frame_seed(seed, plan.frame)
-    return seed if specimen is None else seed32(seed, "camera", specimen)
-
-
-class _Renderer:
-    """The renderer's side of one scene at a time; another that differs in its fog alone takes its place at once."""
-
-    def __init__(self, plan: BakePlan) -> None:
-        self.plan = plan
-        self.world: Any = None
-        self.loaded: Any = None
-
-    def within(self, scene: SceneDict) -> MitsubaScene:
-        """The scene in the renderer, without boundaries of fog."""
-        from synfog_usd.render.load import in_fog
-        from synfog_usd.render.shot import load, may_carry_bands
-
-        if self.world is not scene.world:
-            self.free()
-            paths = scene.camera.width_px * scene.camera.height_px * self.plan.samples
-            spectra = may_carry_bands(self.plan.bands, paths)
-            self.loaded, self.world = load(scene, boundaries=False, spectra=spectra), scene.world
-        return in_fog(self.loaded, scene.fog)
-
-    def free(self) -> None:
-        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables
-        and kernels larger.
-        """
-        from synfog_usd.render import backend
-
-        self.world = self.loaded = None
-        gc.collect()
-        backend.let_go()
 
 
 @dataclass(frozen=True)
@@ -347,7 +272,7 @@ class _View:
     """A lighting in clear air: how it is exposed, for all fog levels alike, and what is there.
 
     Attributes:
-        exposure: see `camera.meter`.
+        exposure: see `camera.meter`; None where the graph says it.
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
         luminance: of the small frame that was metered [cd m-2].
         bands: see `planner.choose_bands`: chosen here for all fogs but coloured ones, since grey fog mixes light and
@@ -355,6 +280,7 @@ class _View:
         seen: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
         parts: of that world, see `cull.parts_of`.
+        others: name of a further graph -> how it exposes, see `BakePlan.meter_for`.
     """
 
     exposure: Any
@@ -364,6 +290,7 @@ class _View:
     seen: Aovs
     world: Mapping[str, Any]
     parts: Parts
+    others: Mapping[str, Any]
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -371,15 +298,12 @@ class _View:
         return _noise(self.pixel) if self.pixel else None
 
 
-def _loaded(scene: SceneDict, renderer: _Renderer, model: str) -> MitsubaScene:
-    """The scene in the renderer as a model wants it."""
-    from synfog_usd.render import models
-    from synfog_usd.render.shot import load
-
-    if not models.MODELS[models.choose(model, scene)[0]].boundaries:
-        return renderer.within(scene)
-    renderer.free()
-    return load(scene)
+def _clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str | None, SceneDict]:
+    """What is metered for a shot, without fog, by camera: what its own sees, and the others that are exposed alike."""
+    plan = session.plan
+    others = [one for one in plan.rig if one != camera] if plan.meter == TOGETHER else []
+    clear = cleared(session.stage, shot)
+    return {one: replace(session.scenes(one).of(clear), fog=()) for one in (camera, *others)}
 
 
 def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
@@ -400,39 +324,37 @@ def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
 
 def _meter(
     lighting: str,
-    scene: SceneDict,
-    renderer: _Renderer,
+    clear: Mapping[str | None, SceneDict],
+    session: Session,
     plan: BakePlan,
-    graph: Any,
     taken: Pinhole | None,
     ready: Callable[[], None],
     progress: Progress,
 ) -> _View:
-    """A scene without fog, metered on a small frame; the graph runs after `ready`."""
+    """Scenes without fog, the camera's own first, metered on small frames; the graph runs after `ready`."""
     from synfog_usd import camera, cull, photometry
-    from synfog_usd.render import backend, denoise, models
+    from synfog_usd.render import models
     from synfog_usd.render.film import aovs
-    from synfog_usd.render.load import resized
-    from synfog_usd.render.shot import render
 
-    loaded = _loaded(scene, renderer, models.AUTO)
-    size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * scene.camera.height_px / scene.camera.width_px))
-    clean = not plan.draft and not backend.is_scalar() and not denoise.available()
-    frame = render(
-        scene,
-        samples=DRAFT_METER_SAMPLES if plan.draft else METER_SAMPLES if clean else METER_SAMPLES_RAW,
-        seed=seed32(plan.seed, "meter"),
-        size=size,
-        denoise=clean,
-        loaded=resized(loaded, size),
-    ).radiance
+    graph = session.graph
+    frame, *beside = [session.frame(lighting, one, scene) for one, scene in clear.items()]
+    scene = next(iter(clear.values()))
+    loaded = session.renderer.loaded_for(scene, models.AUTO)
     ready()
-    exposure = camera.meter(frame, graph, compensation_ev=plan.ev)
-    if plan.clip and (before := plan.clip.before.get(lighting)):
+    wanted = camera.exposure_left_open(graph) or (plan.exposure_s, plan.iso) != (None, None)
+    exposure = camera.meter(frame, graph, beside=beside, compensation_ev=plan.ev) if wanted else None
+    if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
         )
-    pixel = camera.sensitivity(frame, graph, exposure)
+    given = {"exposure_s": plan.exposure_s, "iso": plan.iso}
+    graphs = {path.stem: camera.exposed(camera.load_graph(path), **given) for path in plan.meter_for}
+    others = {
+        name: camera.meter(frame, other, beside=beside, compensation_ev=plan.ev)
+        for name, other in graphs.items()
+        if camera.exposure_left_open(other)
+    }
+    pixel = camera.sensitivity(frame, graph, exposure) if exposure else None
     return _View(
         exposure,
         pixel,
@@ -441,6 +363,7 @@ def _meter(
         aovs.measure(loaded),
         scene.world,
         cull.parts_of(scene.world),
+        others,
     )
 
 
@@ -528,7 +451,7 @@ class _Behind:
 def _render(
     shot: Shot,
     scene: SceneDict,
-    renderer: _Renderer,
+    renderer: Renderer,
     view: _View | None,
     plan: BakePlan,
     taken: Pinhole | None,
@@ -559,7 +482,7 @@ def _render(
     drawn = cull.reduced(scene, hidden)
     loaded = None
     if drawn is scene:
-        loaded = _loaded(drawn, renderer, plan.model)
+        loaded = renderer.loaded_for(drawn, plan.model)
     else:
         renderer.free()
     same = (
@@ -711,15 +634,29 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         "exposure": {
             "exposure_s": exposure.exposure_s,
             "iso": exposure.iso,
-            **(_METERED_ON if None in (plan.exposure_s, plan.iso) else {}),
+            **(_metered_on(plan) if None in (plan.exposure_s, plan.iso) else {}),
             **({"ev": plan.ev} if plan.ev else {}),
         }
         if exposure
         else None,
+        **(
+            {
+                "further_exposures": {
+                    name: {"exposure_s": other.exposure_s, "iso": other.iso} for name, other in view.others.items()
+                }
+            }
+            if view and view.others
+            else {}
+        ),
         "behind_fog": made.hidden.metadata(scene),
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
+
+
+def _metered_on(plan: BakePlan) -> dict[str, str]:
+    together = f", of {len(plan.rig)} cameras together" if len(plan.rig) > 1 and plan.meter == TOGETHER else ""
+    return {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide{together}"}
 
 
 def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
@@ -728,7 +665,9 @@ def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
 
     radiance, seen, noise = made.rendered.radiance, made.rendered.aovs, made.noise
     luminance = photometry.luminance(radiance)
-    if noise is None and made.view is None and (luminance > 0.0).any():  # the graph says itself how it exposes
+    if (
+        noise is None and not (made.view and made.view.exposure) and (luminance > 0.0).any()
+    ):  # the graph says itself how it exposes
         exposure = camera.Exposure(1.0, 1.0, float(luminance.mean()))
         pixel = camera.sensitivity(radiance, graph, exposure)
         if pixel:

@@ -76,6 +76,8 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "mask": list(plan.mask),
             "variant": variant,
             **({"same_noise": True} if plan.same_noise else {}),
+            **({"rig": list(plan.rig), "meter": plan.meter} if plan.rig else {}),
+            **({"meter_for": [path.stem for path in plan.meter_for]} if plan.meter_for else {}),
             **({"clip": asdict(plan.clip)} if plan.clip else {}),
             **({"shutter_s": plan.shutter_s} if plan.shutter_s is not None else {}),
             **({"exposure_s": plan.exposure_s} if plan.exposure_s is not None else {}),

@@ -16,6 +16,9 @@ AS_AUTHORED = "authored"
 
 CLEAR = "clear"
 
+TOGETHER, EACH = METERS = ("together", "each")
+"""How the cameras of a rig are exposed."""
+
 
 MOST_FRAMES = 100_000
 """Of a sequence."""
@@ -74,7 +77,11 @@ class BakePlan:
         out: folder that receives everything.
         pipeline: YAML node graph; None is the shipped phone.
         lighting, fog: names to bake; None is all that the stage offers, and AS_AUTHORED what it has without a choice.
-        camera: prim path; None is the stage's own choice.
+        camera: prim path or name; None is the stage's own choice.
+        rig: paths or names of the cameras of the rig to which it belongs, itself among them, '' for the stage's own:
+            they see one world, about the place of the first.  Empty for a camera by itself.
+        meter: whether a rig's cameras are exposed `together`, by what all of them see, or `each` by itself.
+        meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
         model, samples, seed, target_error, time_limit_s, bands, denoise, regularize: see `render.shot.Settings`.
@@ -134,8 +141,13 @@ class BakePlan:
     draft: bool = False
     by_lighting: bool = True
     same_noise: bool = False
+    rig: tuple[str, ...] = ()
+    meter: str = TOGETHER
+    meter_for: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.meter not in METERS:
+            raise ParameterError(f"--meter {self.meter}: takes {' or '.join(METERS)}")
         numbers.check_samples(self.samples)
         numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)

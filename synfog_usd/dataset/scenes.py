@@ -27,11 +27,14 @@ class Scenes:
     fog.
     """
 
-    def __init__(self, stage: Any, plan: BakePlan, graph: Any = None) -> None:
+    def __init__(
+        self, stage: Any, plan: BakePlan, graph: Any = None, *, lightings: dict[str, Any] | None = None
+    ) -> None:
+        """`lightings` are the translations that the cameras of a rig share."""
         from synfog_usd import stage as usd
 
         self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
-        self.lightings: dict[str, Any] = {}
+        self.lightings: dict[str, Any] = {} if lightings is None else lightings
         self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
         self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
         self.foggy = False  # whether one of them has fog
@@ -51,18 +54,23 @@ class Scenes:
             fog=shot.fog_variant or self.authored.get("fog"),  # '' where the stage itself chooses none
             lighting=shot.lighting_variant or self.authored.get("lighting"),
         )
-        choices: dict[str, Any] = {"camera": plan.camera, "frame": plan.frame, "resolution": plan.size}
+        first = plan.rig[0] if plan.rig else plan.camera
+        choices: dict[str, Any] = {"camera": first, "frame": plan.frame, "resolution": plan.size}
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
-        if shot.lighting not in self.lightings:
+        if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
-            self.lightings[shot.lighting] = Exchange(self.stage, **choices, fog_mor_m=shot.mor_m, before=before)
-            scene = self.lightings[shot.lighting].scene
-            self.light[shot.lighting] = outdoors(scene).sentence(plan.light_scale)
-            self.known[shot] = self.seen(scene)
+            self.lightings[shot.lighting] = Exchange(
+                self.stage, **choices, rig=plan.rig[1:], fog_mor_m=shot.mor_m, before=before
+            )
+        made = self.lightings[shot.lighting]
+        if shot.lighting not in self.light:
+            self.light[shot.lighting] = outdoors(made.scene).sentence(plan.light_scale)
+        if fresh and plan.camera == first:
+            self.known[shot] = self.seen(made.scene)
             return self.known[shot]
-        scene = self.lightings[shot.lighting].within(self.stage, fog_mor_m=shot.mor_m)
+        scene = made.within(self.stage, fog_mor_m=shot.mor_m, camera=plan.camera)
         if scene is None:
-            return self.seen(translate(self.stage, **choices, fog_mor_m=shot.mor_m))
+            return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog_mor_m=shot.mor_m))
         self.known[shot] = self.seen(scene)
         return self.known[shot]
 
@@ -94,20 +102,19 @@ class Scenes:
         from synfog_usd.camera import distortion, fisheye
 
         if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
-            return _through(scene, lens)
+            beside = tuple(replace(eye, fisheye=lens, fov_x_deg=lens.fov_x_deg) for eye in scene.beside)
+            return _through(replace(scene, beside=beside), lens)
 
-        wider = (
-            None
-            if self.graph is None or scene.camera.width_m > 0.0
-            else distortion.to_render(self.graph, pinhole_of(scene.camera))
-        )
-        if wider is None:
+        def wider(eye: Camera) -> Camera:
+            plane = self.graph is not None and not eye.width_m > 0.0
+            rendered = distortion.to_render(self.graph, pinhole_of(eye)) if plane else None
+            return eye if rendered is None else replace(eye, **size_of(rendered))
+
+        eye = wider(scene.camera)
+        if eye is scene.camera:
             return scene
         self.taken = pinhole_of(scene.camera)
-        return replace(
-            scene,
-            camera=replace(scene.camera, **size_of(wider)),
-        )
+        return replace(scene, camera=eye, beside=tuple(wider(one) for one in scene.beside))
 
     def survey(self, todo: Sequence[Shot]) -> None:
         """Read every lighting once and every fog once, that were not read yet."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd import numbers, resources, yamlio
-from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
+from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS
 from synfog_usd.errors import ParameterError, RecipeError, SetError, SynfogError, did_you_mean
 from synfog_usd.world.language import (
     FOG,
@@ -42,6 +42,7 @@ SECTIONS = (
     "fogs",
     "cameras",
     "pipelines",
+    "meter",
     "asm_estimated",
     "same_noise",
     "size",
@@ -110,6 +111,7 @@ class SetDefinition:
         lightings: one for each; a scene has those that are drawn.  None is all that its recipe or stage offers.
         fogs: one for each; drawn as a visibility [m], or a name.
         cameras: prim paths, '' for the stage's own.
+        meter: see `BakePlan`; the cameras are one rig.
         pipelines: files of node graphs; radiance is rendered for the first.
         asm_estimated: names of those that also develop the clear frame in a guessed fog, see `unit`.
         same_noise: see `BakePlan`.
@@ -130,6 +132,7 @@ class SetDefinition:
     lightings: tuple[Distribution, ...]
     fogs: tuple[Distribution, ...]
     cameras: tuple[str, ...]
+    meter: str
     pipelines: tuple[Path, ...]
     asm_estimated: tuple[str, ...]
     same_noise: bool
@@ -212,6 +215,7 @@ class _SetReader:
             cameras=of("cameras", self.cameras, ("",)),
             pipelines=of("pipelines", self.pipelines, (resources.folder("pipeline") / "synfog.yaml",)),
             asm_estimated=of("asm_estimated", self.asm_estimated, ()),
+            meter=of("meter", self.meter, METERS[0]),
             same_noise=of("same_noise", lambda item: switch(item, "same_noise"), False),
             size=of("size", self.size, None),
             quality=of("quality", self.quality, {}),
@@ -331,6 +335,11 @@ class _SetReader:
         if len(set(names)) < len(names):
             raise SetError(f"{item.place}: cameras: two have the same name; their folders would be one")
         return tuple(found)
+
+    def meter(self, item: Located) -> str:
+        if item.value not in METERS:
+            raise SetError(f"{item.place}: meter is {item.plain()!r}; it takes {' or '.join(METERS)}")
+        return str(item.value)
 
     def pipelines(self, item: Located) -> tuple[Path, ...]:
         known = resources.shipped("pipeline")

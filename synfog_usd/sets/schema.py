@@ -12,7 +12,7 @@ import json
 from typing import Any
 
 from synfog_usd import resources
-from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR
+from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS
 from synfog_usd.numbers import BANDS, MOST_EV, RGB, SAMPLES
 from synfog_usd.render.models import AUTO, MODELS
 from synfog_usd.sets.definition import (
@@ -80,6 +80,11 @@ def _sections() -> dict[str, Any]:
             "type": "array",
             "items": {"type": "string"},
             "description": "Pipelines that also develop the clear frame in fog by the atmospheric scattering model.",
+        },
+        "meter": {
+            "enum": list(METERS),
+            "default": METERS[0],
+            "description": "Whether the cameras are exposed together, by what all of them see, or each by itself.",
         },
         "same_noise": {
             "type": "boolean",

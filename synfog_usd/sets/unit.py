@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, resources, system
-from synfog_usd.dataset.plan import CLEAR, BakePlan, noise_seed
+from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, noise_seed
 from synfog_usd.errors import OutputError, SetError
 from synfog_usd.progress import Progress, silent
 from synfog_usd.sets import layout
@@ -87,6 +87,9 @@ def make(
                 allow=(resources.folder("assets"),),
                 by_lighting=False,
                 same_noise=found.same_noise,
+                rig=found.cameras if len(found.cameras) > 1 else (),
+                meter=found.meter,
+                meter_for=found.pipelines[1:] if _one_exposure(found) else (),
                 **found.quality,
                 **found.exposure,
             )
@@ -136,6 +139,11 @@ def changed(folder: Path) -> Iterator[str]:
         inside = path.relative_to(folder).as_posix()
         if path.is_file() and inside not in expected and inside != layout.UNIT:
             yield f"{inside}: no file of the set"
+
+
+def _one_exposure(found: SetDefinition) -> bool:
+    """Whether several cameras are exposed alike."""
+    return len(found.cameras) > 1 and found.meter == TOGETHER
 
 
 def _whole(folder: Path) -> bool:
@@ -265,7 +273,10 @@ def _developed(
     graph = exposed(camera.load_graph(pipeline), found.exposure)
     (wanted,) = graph.inputs
     exposure = None
-    if shots:
+    if shots and _one_exposure(found):
+        told = shots[0].get("further_exposures", {}).get(pipeline.stem) or shots[0]["exposure"]
+        exposure = camera.Exposure(told["exposure_s"], told["iso"]) if camera.exposure_left_open(graph) else None
+    elif shots:
         clear = {wanted: _radiance(folder, CLEAR)}
         exposure = camera.metered(graph, clear, compensation_ev=found.exposure.get("ev", 0.0))
     made = {}

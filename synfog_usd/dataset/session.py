@@ -1,0 +1,211 @@
+"""An opened stage, and the renderer with a scene of it: what the bakes of a rig's cameras have in common.
+
+A lighting is translated once and loaded once; another camera or another fog is exchanged in it.  Takes a plan; gives
+the scenes of each camera, and the small frames that are metered.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.scenes import Scenes
+from synfog_usd.errors import GraphError, StageError
+from synfog_usd.image import Image, Quantity
+from synfog_usd.seeds import frame_seed, seed32
+
+if TYPE_CHECKING:
+    from synfog_usd.render.load import MitsubaScene
+    from synfog_usd.scene import SceneDict
+
+Reading = Callable[[], contextlib.AbstractContextManager[None]]
+
+METER_WIDTH_PX = 160
+METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
+"""Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
+
+
+@dataclass
+class Session:
+    """What the bakes of several cameras share; they differ in `camera` and `out` alone.
+
+    Attributes:
+        plan: of all of them.
+        graph: the node graph.
+        stage: opened, as the plan reads it.
+        cameras: prim paths of those that are asked for; None for the stage's own choice.
+        renderer: with the scene that was asked for last.
+        frames: (lighting, camera) -> what was metered.
+    """
+
+    plan: BakePlan
+    graph: Any
+    stage: Any
+    cameras: tuple[str | None, ...]
+    renderer: Renderer
+    frames: dict[tuple[str, str | None], Image] = field(default_factory=dict)
+    _scenes: dict[str | None, Scenes] = field(default_factory=dict)
+    _lightings: dict[str, Any] = field(default_factory=dict)
+
+    def of(self, camera: str | None) -> BakePlan:
+        """The plan of one of the cameras, with the seed of its own."""
+        return replace(self.plan, camera=camera, seed=own_seed(self.plan, self.stage, self.specimen(camera)))
+
+    def scenes(self, camera: str | None) -> Scenes:
+        """What a camera sees."""
+        if camera not in self._scenes:
+            self._scenes[camera] = Scenes(
+                self.stage, replace(self.plan, camera=camera), self.graph, lightings=self._lightings
+            )
+        return self._scenes[camera]
+
+    def specimen(self, camera: str | None) -> str | None:
+        """Which of a rig's cameras it is: its path, or None for the one that the stage itself would choose."""
+        from synfog_usd.translate import own_camera
+
+        return camera if camera is not None and camera != own_camera(self.stage) else None
+
+    def frame(self, lighting: str, camera: str | None, clear: SceneDict) -> Image:
+        """The small frame of a camera, in clear air, that its exposure is metered on."""
+        from synfog_usd.render import backend, denoise, models
+        from synfog_usd.render.load import resized
+        from synfog_usd.render.shot import render
+
+        if (lighting, camera) not in self.frames:
+            draft = self.plan.draft
+            clean = not draft and not backend.is_scalar() and not denoise.available()
+            size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * clear.camera.height_px / clear.camera.width_px))
+            self.frames[lighting, camera] = render(
+                clear,
+                samples=DRAFT_METER_SAMPLES if draft else METER_SAMPLES if clean else METER_SAMPLES_RAW,
+                seed=seed32(self.of(camera).seed, "meter"),
+                size=size,
+                denoise=clean,
+                loaded=resized(self.renderer.loaded_for(clear, models.AUTO), size),
+            ).radiance
+        return self.frames[lighting, camera]
+
+
+def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Session:
+    """Open a plan's stage for the cameras of these names, see `stage.named_cameras`; None for the stage's own.
+
+    Raises:
+        SynfogError: with place and fix.
+    """
+    from synfog_usd import camera
+    from synfog_usd import stage as usd
+    from synfog_usd.render import backend, models
+    from synfog_usd.translate import own_camera
+
+    models.check_name(plan.model)
+    backend.begin(plan.variant)  # type: ignore[arg-type]
+    graph = camera.load_graph(plan.pipeline or Path("phone"))
+    for name, port in graph.inputs.items():
+        if port.quantity is not Quantity.RADIANCE:
+            raise GraphError(
+                f"graph {graph.name!r}: its input {name!r} is {port}, and a bake has radiance alone for it. Run it "
+                f"with 'synfog-usd graph run' on radiance.exr; depth of field is drawn where the stage's camera has "
+                f"fStop and focusDistance"
+            )
+    graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
+    if plan.ev and not camera.exposure_left_open(graph):
+        raise GraphError(
+            f"--ev {plan.ev:g}: graph {graph.name!r} itself says exposure time and ISO, so nothing is metered; change "
+            f"exposure_s or iso there"
+        )
+    with reading():
+        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
+        if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
+            usd.override(
+                stage,
+                choices=plan.choices,
+                metres_per_unit=plan.metres_per_unit,
+                up=plan.up,
+                shutter_s=plan.shutter_s,
+            )
+        own = own_camera(stage)
+        cameras: tuple[str | None, ...] = (None,) if names is None else usd.named_cameras(stage, names)
+        rig = usd.named_cameras(stage, [name or own or "" for name in plan.rig])
+        if rig and names is None:
+            cameras = (own,)
+        plan = replace(plan, rig=rig or (tuple(one for one in cameras if one) if len(cameras) > 1 else ()))
+        if plan.max_distance_m is not None:
+            usd.keep_near(stage, plan.max_distance_m, cameras=plan.rig or cameras, frame=plan.frame)
+    return Session(plan, graph, stage, cameras, Renderer(plan))
+
+
+def own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:
+    """Seed of one view: its own for every frame but the stage's first, and every camera but the stage's own."""
+    from synfog_usd.translate import own_frame
+
+    seed = plan.seed
+    if plan.clip is None and plan.frame is not None and plan.frame != own_frame(stage):
+        seed = frame_seed(seed, plan.frame)
+    return seed if specimen is None else seed32(seed, "camera", specimen)
+
+
+def one_camera(session: Session) -> str | None:
+    """The camera of a session for one.
+
+    Raises:
+        StageError: its name means several.
+    """
+    if len(session.cameras) > 1:
+        raise StageError(
+            f"{session.plan.stage}: {', '.join(map(str, session.cameras))} are several cameras; `bake_cameras` takes "
+            f"them"
+        )
+    return session.cameras[0]
+
+
+class Renderer:
+    """The renderer's side of one scene at a time; another that differs in fog or camera alone takes its place at
+    once.
+    """
+
+    def __init__(self, plan: BakePlan) -> None:
+        self.plan = plan
+        self.world: Any = None
+        self.loaded: Any = None
+        self.views: dict[str, MitsubaScene] = {}
+
+    def within(self, scene: SceneDict) -> MitsubaScene:
+        """The scene in the renderer, without boundaries of fog."""
+        from synfog_usd.render.load import in_fog
+        from synfog_usd.render.shot import load, look, may_carry_bands
+
+        if self.world is not scene.world:
+            self.free()
+            paths = scene.camera.width_px * scene.camera.height_px * self.plan.samples
+            spectra = may_carry_bands(self.plan.bands, paths)
+            self.loaded, self.world = load(scene, boundaries=False, spectra=spectra), scene.world
+            self.views[scene.camera.path] = self.loaded
+        if scene.camera.path not in self.views:
+            self.views[scene.camera.path] = look(self.loaded, scene.camera)
+        return in_fog(self.views[scene.camera.path], scene.fog)
+
+    def loaded_for(self, scene: SceneDict, model: str) -> MitsubaScene:
+        """The scene in the renderer as a model wants it."""
+        from synfog_usd.render import models
+        from synfog_usd.render.shot import load
+
+        if not models.MODELS[models.choose(model, scene)[0]].boundaries:
+            return self.within(scene)
+        self.free()
+        return load(scene)
+
+    def free(self) -> None:
+        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables
+        and kernels larger.
+        """
+        from synfog_usd.render import backend
+
+        self.world = self.loaded = None
+        self.views = {}
+        gc.collect()
+        backend.let_go()
