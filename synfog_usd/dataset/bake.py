@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, system
-from synfog_usd.dataset import contact, labels, lanes, objects, visibility
+from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibility
 from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
@@ -188,7 +188,7 @@ def bake(
             loaded = renderer.within(replace(first, fog=()))
             pierced, view = aovs.pierced(loaded, progress=told), views.get(every[0].lighting)
             seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
-            ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced))
+            ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced, loaded))
 
         def finish(index: int, shot: Shot, picture: _Picture, began: float) -> None:
             sampled = time.perf_counter()
@@ -238,7 +238,8 @@ def bake(
                         within(step, METERED, SET_UP),
                     )
                     mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
-                    log(f"{shot.lighting}: this view has {mean}, exposed {view.exposure}")
+                    exposed = f", exposed {view.exposure}" if view.exposure else ""
+                    log(f"{shot.lighting}: this view has {mean}{exposed}")
                 share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)
@@ -732,11 +733,12 @@ def _write_labels(
     graph: Any = None,
     taken: Pinhole | None = None,
     pierced: tuple[np.ndarray, np.ndarray] | None = None,
+    loaded: MitsubaScene | None = None,
 ) -> dict[str, str]:
     """Write what is seen where in clear air, bent as the graph's lens bends the picture; radiance.exr and layers.exr
     stay those of a pinhole.
 
-    `pierced` tells what stands behind, see `aovs.pierced`.
+    `pierced` tells what stands behind, see `aovs.pierced`; `loaded`, what the right eye of a rig sees of it.
     """
     from synfog_usd import writers
     from synfog_usd.camera import distortion
@@ -744,6 +746,9 @@ def _write_labels(
     metadata: dict[str, Any] = {}
     nearest = None
     bent = graph and distortion.of_graph(graph, pinhole_of(scene.camera), taken)
+    pair, disparity = stereo.pair_of(scene), None
+    if pair and loaded and not bent:
+        disparity = stereo.planes(seen, pair, loaded)
     area, bend = (lanes.ids(seen, scene) if scene.lanes else None), None
     if bent:
         node, warp = bent
@@ -755,7 +760,7 @@ def _write_labels(
             "camera_matrix_px": warp.camera_matrix(),
             "distortion_coefficients": list(warp.coefficients),
         }
-    image = labels.label_image(seen, scene.instances, area)
+    image = labels.label_image(seen, scene.instances, area, disparity)
     header = {
         name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
     }  # where Cryptomatte's readers look
@@ -772,6 +777,10 @@ def _write_labels(
                 "distortion_coefficients": metadata["distortion_coefficients"],
             }
         metadata = {"camera": eye} | metadata
+    if pair and disparity is not None:
+        metadata |= {"stereo": pair.metadata()}
+    elif pair:
+        metadata |= {"stereo": {"right": pair.right.path, "no_disparity": "the lens distorts: rows do not match"}}
     if area is not None:
         metadata |= {"lanes": lanes.rows(area, scene, bend)}
     files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances, more) | metadata)

@@ -18,7 +18,7 @@ from scipy.ndimage import find_objects
 from synfog_usd import cityscapes
 from synfog_usd.arrays import distinct
 from synfog_usd.cull import Hidden
-from synfog_usd.dataset import visibility
+from synfog_usd.dataset import stereo, visibility
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Instance, SceneDict
@@ -68,7 +68,12 @@ def warped(aovs: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]
     return Aovs(**{name: plane[nearest] for name, plane in vars(aovs).items()})
 
 
-def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[np.int64] | None = None) -> Image:
+def label_image(
+    aovs: Aovs,
+    instances: tuple[Instance, ...],
+    lane: npt.NDArray[np.int64] | None = None,
+    disparity: npt.NDArray[np.float32] | None = None,
+) -> Image:
     """All label AOVs as one float32 image.
 
     Depth and distance are in metres and infinite at the sky; N is the world normal
@@ -79,6 +84,7 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[n
         aovs: what each pixel sees.
         instances: of the scene.
         lane: (H, W) numbers of lanes, which become a channel `lane.ID`; None where the scene tells of none.
+        disparity: (H, W, 2) as `stereo.planes` gives it; None where no right eye is there.
     """
     semantic = np.array([0, *(cityscapes.label(instance.label).id for instance in instances)], dtype=np.float32)
     crypto = np.array([0.0, *(_crypto_float(instance.path) for instance in instances)], dtype=np.float32)
@@ -110,7 +116,9 @@ def label_image(aovs: Aovs, instances: tuple[Instance, ...], lane: npt.NDArray[n
     }
     channels = CHANNELS
     if lane is not None:
-        planes, channels = [*planes, lane], (*CHANNELS, "lane.ID")
+        planes, channels = [*planes, lane], (*channels, "lane.ID")
+    if disparity is not None:
+        planes, channels = [*planes, *np.moveaxis(disparity, 2, 0)], (*channels, *stereo.CHANNELS)
     return Image(np.stack(planes, axis=2).astype(np.float32), channels, Quantity.DATA, provenance=metadata)
 
 

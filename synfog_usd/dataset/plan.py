@@ -9,7 +9,6 @@ from pathlib import Path
 
 from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.seeds import seed32
 
 AS_AUTHORED = "authored"
 """Name of the lighting or fog that a stage has where none of its variants is chosen, as where it has none."""
@@ -165,6 +164,8 @@ class BakePlan:
 
 def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:
     """Seed of a shot's temporal noise; one for all fogs of a lighting where they are to have the same."""
+    from synfog_usd.seeds import seed32  # numpy, which a plan that is refused at once does without
+
     return seed32(seed, lighting, CLEAR if same_noise else fog)
 
 

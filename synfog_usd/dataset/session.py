@@ -136,7 +136,10 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
         plan = replace(plan, rig=rig or (tuple(one for one in cameras if one) if len(cameras) > 1 else ()))
         if plan.max_distance_m is not None:
             usd.keep_near(stage, plan.max_distance_m, cameras=plan.rig or cameras, frame=plan.frame)
-    return Session(plan, graph, stage, cameras, Renderer(plan))
+    session = Session(plan, graph, stage, cameras, Renderer(plan))
+    for one in (*cameras, *plan.rig):
+        session.scenes(one)  # before a shot chooses variants
+    return session
 
 
 def own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:

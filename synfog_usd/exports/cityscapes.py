@@ -13,7 +13,7 @@ import numpy as np
 
 from synfog_usd.cityscapes import LABELS
 from synfog_usd.exports.folder import ExportFolder, quantised
-from synfog_usd.exports.frames import LabelledPicture, Labels, plain
+from synfog_usd.exports.frames import LabelledPicture, Labels, plain, with_right
 from synfog_usd.exports.outlines import outlines
 from synfog_usd.exports.record import Boxed
 
@@ -27,12 +27,14 @@ BASELINE_M = 0.209313
 
 
 def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
-    """Write `leftImg8bit`, `gtFine`, `depth`, `disparity` and `camera`."""
+    """Write `leftImg8bit`, `gtFine`, `depth`, `disparity` and `camera`; of a pair also `rightImg8bit`."""
     names = Names()
-    for picture in pictures():
+    for picture, right in with_right(pictures()):
         city = f"{plain(picture.source)}-{plain(picture.lighting)}-{plain(picture.fog)}".replace("_", "")
         stem = names.stem(picture, city)
         folder.place(picture.screen, f"leftImg8bit/{stem}_leftImg8bit{picture.screen.suffix}")
+        if right is not None:
+            folder.place(right.screen, f"rightImg8bit/{stem}_rightImg8bit{right.screen.suffix}")
         write_ground_truth(folder, stem, picture.labels)
     return TOLD
 
@@ -42,8 +44,8 @@ TOLD = [
     "alone.  Polygons are traced from the ids: painted in their order they give labelIds again.  Each part of a thing "
     "that is seen in parts is an object with the same `instance`, its number in instanceIds.",
     "depth is planar, uint16 / 256 m; 0 is the sky, and what lies beyond 255.99 m is 65535.",
-    "disparity is uint16, (value - 1) / 256 px, 0 where there is none: baseline fx / depth of a second camera that was "
-    "not rendered; 65535 is 255.99 px and more.",
+    "disparity is uint16, (value - 1) / 256 px, 0 where there is none: baseline fx / depth, of the right eye whose "
+    "picture is in rightImg8bit, or of Cityscapes' own where none was rendered; 65535 is 255.99 px and more.",
     "camera has intrinsics in pixels, and extrinsics x, y, z of the camera in the stage [m] with yaw, pitch and roll "
     "[rad]; baseline is that of the disparity, as Cityscapes has it [m].",
 ]
@@ -76,8 +78,9 @@ def write_ground_truth(folder: ExportFolder, stem: str, labels: Labels) -> None:
             colours[kind.id] = kind.colour
     folder.png(f"gtFine/{stem}_gtFine_color.png", colours[semantic])
     folder.png(f"depth/{stem}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
-    camera = _camera(labels.camera)
-    folder.png(f"disparity/{stem}_disparity.png", disparity(labels.depth_m, camera["intrinsic"]["fx"]))
+    camera = _camera(labels.camera, labels.metadata.get("stereo", {}).get("baseline_m", BASELINE_M))
+    intrinsic, extrinsic = camera["intrinsic"], camera["extrinsic"]
+    folder.png(f"disparity/{stem}_disparity.png", disparity(labels.depth_m, intrinsic["fx"], extrinsic["baseline"]))
     folder.json(f"camera/{stem}_camera.json", camera)
 
 
@@ -108,14 +111,14 @@ def _polygons(ids: np.ndarray) -> dict[str, Any]:
     return {"imgHeight": ids.shape[0], "imgWidth": ids.shape[1], "objects": objects}
 
 
-def disparity(depth_m: np.ndarray, fx_px: float) -> np.ndarray:
+def disparity(depth_m: np.ndarray, fx_px: float, baseline_m: float) -> np.ndarray:
     """(H, W) uint16 of a planar depth, infinite at the sky; 0 where it is not above 0, or the camera has no `fx_px`."""
     seen = (depth_m > 0.0) & (fx_px > 0.0)
-    steps = 256.0 * BASELINE_M * fx_px / np.where(seen, depth_m, 1.0) + 1.0
+    steps = 256.0 * baseline_m * fx_px / np.where(seen, depth_m, 1.0) + 1.0
     return np.where(seen, np.clip(np.rint(steps), 1.0, 65535.0), 0.0).astype(np.uint16)
 
 
-def _camera(camera: Any) -> dict[str, Any]:
+def _camera(camera: Any, baseline_m: float) -> dict[str, Any]:
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
     pose = np.array(camera["camera_to_world"])
     right, _, forward = pose[:3, 0], pose[:3, 1], pose[:3, 2]
@@ -125,7 +128,7 @@ def _camera(camera: Any) -> dict[str, Any]:
     roll = math.atan2(float(right @ np.cross(forward, level)), float(right @ level))
     return {
         "extrinsic": {
-            "baseline": BASELINE_M,
+            "baseline": baseline_m,
             "pitch": pitch,
             "roll": roll,
             "x": pose[0, 3],

@@ -6,11 +6,12 @@ Depth is planar, along the optical axis (`depth.Z`); distance is along the ray (
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.arrays import Array
+from synfog_usd.dataset import stereo
+from synfog_usd.dataset.rig import RIG
 from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.sets import index
 from synfog_usd.sets.index import PictureKey
@@ -131,6 +134,9 @@ class Labels:
     Attributes:
         instance, semantic: (H, W) ids, and Cityscapes label ids.
         depth_m, distance_m: (H, W) planar, and along the ray; infinite at the sky.
+        disparity_px: (H, W) of the left camera of a pair, see `dataset.stereo`, nan at the sky; None where it has no
+            right eye.
+        shared: (H, W) which of these points the right camera sees, too.
         camera: of labels.json.
         instances: its rows.
         metadata: the rest of it.
@@ -143,6 +149,8 @@ class Labels:
     camera: Mapping[str, Any]
     instances: list[dict[str, Any]]
     metadata: Mapping[str, Any]
+    disparity_px: Array | None = None
+    shared: npt.NDArray[np.bool_] | None = None
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -185,17 +193,24 @@ def read_labels(picture: Path, listing: Path) -> Labels:
     from synfog_usd.image import Quantity
 
     names = ["instance.ID", "semantic.ID", "depth.Z", "distance.Z"]
-    planes = writers.read_exr(picture, quantity=Quantity.DATA, channels=names).pixels
     told = _json(listing)
+    paired = "baseline_m" in told.get("stereo", {})
+    names += stereo.CHANNELS if paired else ()
+    planes = writers.read_exr(picture, quantity=Quantity.DATA, channels=names).pixels
     if told.get("version", 0) < LABELS_VERSION or "camera" not in told:
         raise OutputError(f"{listing}: labels of an older version, without camera and outlines; bake this scene again")
     instance, semantic = (np.rint(planes[:, :, index]).astype(np.int64) for index in (0, 1))
     rest = {name: value for name, value in told.items() if name not in ("camera", "instances")}
-    return Labels(instance, semantic, planes[:, :, 2], planes[:, :, 3], told["camera"], told["instances"], rest)
+    found = Labels(instance, semantic, planes[:, :, 2], planes[:, :, 3], told["camera"], told["instances"], rest)
+    if not paired:
+        return found
+    disparity = np.where(np.isfinite(found.depth_m), planes[:, :, 4], np.nan)
+    return replace(found, disparity_px=disparity, shared=planes[:, :, 5] == stereo.SEEN)
 
 
 def pictures(out: Path) -> Iterator[LabelledPicture]:
-    """Every picture of a set, or of a folder that `bake` left: that is scene 0 of the split `all`.
+    """Every picture of a set, or of a folder that `bake` left for one camera or several: that is scene 0 of the split
+    `all`.
 
     Raises:
         ParameterError: neither lies there.
@@ -203,6 +218,10 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
     """
     if (out / "bake.json").is_file():
         yield from _of_bake(out)
+        return
+    if (out / RIG).is_file():
+        for row in _json(out / RIG)["cameras"]:
+            yield from _of_bake(out / row["folder"], row["camera"])
         return
     for one in index.pictures(out):
         yield LabelledPicture(
@@ -219,7 +238,32 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
         )
 
 
-def _of_bake(out: Path) -> Iterator[LabelledPicture]:
+def with_right(found: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPicture, LabelledPicture | None]]:
+    """Pictures with those of their right eyes, which are not told by themselves; None where a picture has none.
+
+    Args:
+        found: pictures in the order of a set: those of a scene follow each other.
+    """
+    for _, some in itertools.groupby(found, lambda picture: picture.scene):
+        scene = list(some)
+        told = {path: _json(path) for path in dict.fromkeys(one.files["labels.json"] for one in scene)}
+        labels = [told[one.files["labels.json"]] for one in scene]
+        keys = [(one.lighting, one.fog, one.pipeline) for one in scene]
+        eyes = {
+            (*key, said.get("camera", {}).get("path")): n
+            for n, (key, said) in enumerate(zip(keys, labels, strict=True))
+        }
+        pairs = [said.get("stereo", {}) for said in labels]
+        rights = [
+            eyes.get((*key, pair.get("right"))) if "baseline_m" in pair else None
+            for key, pair in zip(keys, pairs, strict=True)
+        ]
+        for number, (one, right) in enumerate(zip(scene, rights, strict=True)):
+            if number not in rights:
+                yield one, None if right is None else scene[right]
+
+
+def _of_bake(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
     manifest = _json(out / "bake.json")
     try:
         source = Path(manifest["stage"]["name"]).stem
@@ -230,7 +274,7 @@ def _of_bake(out: Path) -> Iterator[LabelledPicture]:
             found |= {name: out / name for name in ("labels.exr", "labels.json", "bake.json")}
             mor = row["mor_m"]
             seed = manifest["plan"]["seed"]
-            yield LabelledPicture(0, ALL, source, seed, row["lighting"], "", row["fog"], mor, pipeline, found)
+            yield LabelledPicture(0, ALL, source, seed, row["lighting"], camera, row["fog"], mor, pipeline, found)
     except (KeyError, TypeError, AttributeError) as error:
         raise OutputError(f"{out / 'bake.json'}: no manifest of a bake ({error!r}); bake again") from error
 

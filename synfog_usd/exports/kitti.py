@@ -2,8 +2,8 @@
 
 Types are those of the devkit; what a class has no type for is `Misc`.  Boxes are of the whole thing within the picture,
 as the benchmark's annotators drew them.  What is dropped because fog hides it is `DontCare`, which neither counts nor
-is missed.  `occluded` is 0 where 80 % and more of a thing's pixels are seen, 1 from 40 % on, 2 below.  Without a second
-camera and a lidar, P0 to P3 are one camera, and the lidar is taken to stand in it.
+is missed.  `occluded` is 0 where 80 % and more of a thing's pixels are seen, 1 from 40 % on, 2 below.  P0 and P2 are
+the left camera, P1 and P3 its right eye, or the same where there is none; a lidar is taken to stand in the left one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from synfog_usd.exports import taxonomy
 from synfog_usd.exports.folder import ExportFolder, quantised
-from synfog_usd.exports.frames import LabelledPicture
+from synfog_usd.exports.frames import LabelledPicture, with_right
 from synfog_usd.exports.record import Boxed
 
 TYPES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "rider": "Cyclist", "train": "Tram"}
@@ -27,14 +27,19 @@ UPRIGHT = ("person", "rider")
 STEPS_PER_M = 256.0
 """Depth is uint16, 1/256 m; 0 is the sky."""
 
+STEPS_PER_PX = 256.0
+"""Likewise of disparity, as stereo 2015 has it."""
+
 LIDAR_TO_CAMERA = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
 """x forward, y left, z up, to x right, y down, z forward."""
 
 
 def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
-    """Write `<split>/{image_2,label_2,calib,depth_2}/000000.*` and `<split>/names.txt`."""
+    """Write `<split>/{image_2,label_2,calib,depth_2}/000000.*` and `<split>/names.txt`; of a pair also `image_3`,
+    `disp_occ_0` and `disp_noc_0`.
+    """
     names: dict[str, list[str]] = {}
-    for picture in pictures():
+    for picture, right in with_right(pictures()):
         listed = names.setdefault(picture.split, [])
         stem = f"{len(listed):06}"
         listed.append(f"{stem} {picture.name}\n")
@@ -46,12 +51,20 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             for row in taxonomy.things(picture, Boxed(classes=chosen.classes))
         ]
         folder.text(f"{picture.split}/label_2/{stem}.txt", "".join(rows))
-        folder.text(f"{picture.split}/calib/{stem}.txt", _calibration(labels.camera))
+        baseline_m = labels.metadata["stereo"]["baseline_m"] if right else 0.0
+        folder.text(f"{picture.split}/calib/{stem}.txt", _calibration(labels.camera, baseline_m))
+        if right is not None and labels.disparity_px is not None:
+            folder.place(right.screen, f"{picture.split}/image_3/{stem}{right.screen.suffix}")
+            both = np.where(labels.shared, labels.disparity_px, np.nan)
+            for name, disparity in (("disp_occ_0", labels.disparity_px), ("disp_noc_0", both)):
+                folder.png(f"{picture.split}/{name}/{stem}.png", quantised(disparity, STEPS_PER_PX))
         folder.png(f"{picture.split}/depth_2/{stem}.png", quantised(labels.depth_m, STEPS_PER_M))
     for split, lines in names.items():
         folder.text(f"{split}/names.txt", "".join(lines))
     return [
         "depth_2 is planar depth, uint16 / 256 m; 0 is the sky, and what lies beyond 255.99 m is 65535.",
+        "disp_occ_0 and disp_noc_0 are of pairs: left column less right column, uint16 / 256 px; 0 is the sky; "
+        "noc leaves out what the right camera does not see. Right eyes are image_3 of their left ones.",
         "Boxes are amodal, within the picture; names.txt says which picture a number is.",
         "A lens's distortion is not in KITTI's calibration: use a pipeline whose lens has none.",
     ]
@@ -103,11 +116,12 @@ def _wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _calibration(camera: Any) -> str:
+def _calibration(camera: Any, baseline_m: float) -> str:
     matrix = np.array(camera.get("camera_matrix_px", np.eye(3)))
-    projection = " ".join(f"{value:.12e}" for value in np.c_[matrix, np.zeros(3)].ravel())
+    places = [[0.0, 0.0, 0.0], [-baseline_m, 0.0, 0.0]]
+    eyes = [" ".join(f"{value:.12e}" for value in np.c_[matrix, matrix @ np.array(one)].ravel()) for one in places]
     lidar = " ".join(f"{value:.12e}" for value in np.c_[np.array(LIDAR_TO_CAMERA), np.zeros(3)].ravel())
     same = " ".join(f"{value:.12e}" for value in np.eye(3).ravel())
     imu = " ".join(f"{value:.12e}" for value in np.eye(3, 4).ravel())
-    lines = [f"P{number}: {projection}" for number in range(4)]
+    lines = [f"P{number}: {eyes[number % 2]}" for number in range(4)]
     return "\n".join([*lines, f"R0_rect: {same}", f"Tr_velo_to_cam: {lidar}", f"Tr_imu_to_velo: {imu}", ""])

@@ -14,7 +14,7 @@ from synfog_usd.cityscapes import LABELS
 from synfog_usd.exports import kitti, taxonomy
 from synfog_usd.exports.cityscapes import Names
 from synfog_usd.exports.folder import ExportFolder, quantised
-from synfog_usd.exports.frames import LabelledPicture, plain
+from synfog_usd.exports.frames import LabelledPicture, plain, with_right
 from synfog_usd.exports.record import Boxed
 
 STEPS_PER_M = 100.0
@@ -49,43 +49,45 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             folder.text(f"{tree}/colors.txt", colours)
         texts.clear()
 
-    for picture in pictures():
+    for picture, right in with_right(pictures()):
         if scene is not None and picture.scene != scene:
             flush()
         scene = picture.scene
         tree = f"Scene{picture.scene:02}/{plain(picture.lighting)}-{plain(picture.fog)}"
         frame = int(names.stem(picture, "").rpartition("_")[2])
-        labels = picture.labels
-        labels.refuse_fisheye("Virtual KITTI 2")
         base = f"{tree}/frames"
-        folder.jpeg(f"{base}/rgb/Camera_0/rgb_{frame:05}.jpg", picture.screen)
-        folder.png(f"{base}/depth/Camera_0/depth_{frame:05}.png", quantised(labels.depth_m, STEPS_PER_M))
-        folder.png(f"{base}/classSegmentation/Camera_0/classgt_{frame:05}.png", palette[labels.semantic])
-        folder.png(f"{base}/instanceSegmentation/Camera_0/instancegt_{frame:05}.png", labels.instance.astype(np.uint16))
-        parts = texts.setdefault(tree, {name: [] for name in HEADS})
-        _write_rows(parts, frame, picture, chosen)
+        for number, eye in enumerate([picture, *([right] if right else [])]):
+            labels, which = eye.labels, f"Camera_{number}"
+            labels.refuse_fisheye("Virtual KITTI 2")
+            folder.jpeg(f"{base}/rgb/{which}/rgb_{frame:05}.jpg", eye.screen)
+            folder.png(f"{base}/depth/{which}/depth_{frame:05}.png", quantised(labels.depth_m, STEPS_PER_M))
+            folder.png(f"{base}/classSegmentation/{which}/classgt_{frame:05}.png", palette[labels.semantic])
+            ids = labels.instance.astype(np.uint16)
+            folder.png(f"{base}/instanceSegmentation/{which}/instancegt_{frame:05}.png", ids)
+            parts = texts.setdefault(tree, {name: [] for name in HEADS})
+            _write_rows(parts, frame, number, eye, chosen)
     flush()
     return [
         "Depth is planar, uint16 in cm: what lies beyond 655.34 m is 65535, where the original has the sky too; ours "
         "is 0.",
-        "Classes and colours are Cityscapes'; there is no optical flow. bbox.txt has no second camera.",
+        "Classes and colours are Cityscapes'; there is no optical flow. Camera_1 is the right eye of a pair.",
         "World space is the stage's, in metres with Y down: x, -z, y of ours.",
     ]
 
 
-def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPicture, chosen: Boxed) -> None:
+def _write_rows(parts: dict[str, list[str]], frame: int, number: int, picture: LabelledPicture, chosen: Boxed) -> None:
     camera = picture.labels.camera
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
-    parts["intrinsic"].append(f"{frame} 0 {matrix[0][0]:g} {matrix[1][1]:g} {matrix[0][2]:g} {matrix[1][2]:g}\n")
+    parts["intrinsic"].append(f"{frame} {number} {matrix[0][0]:g} {matrix[1][1]:g} {matrix[0][2]:g} {matrix[1][2]:g}\n")
     y_down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     to_camera = np.linalg.inv(y_down @ np.array(camera["camera_to_world"]))
-    parts["extrinsic"].append(f"{frame} 0 " + " ".join(f"{value:.9g}" for value in to_camera.ravel()) + "\n")
+    parts["extrinsic"].append(f"{frame} {number} " + " ".join(f"{value:.9g}" for value in to_camera.ravel()) + "\n")
     for row in taxonomy.things(picture, chosen):
         x, y, right, bottom = taxonomy.corners(row["box_px"])
         track, moves = row["id"] - 1, row.get("speed_m_s", 0.0) > 0.0
         cut, share = row.get("truncation", 0.0), row.get("visible_share", 1.0)
         parts["bbox"].append(
-            f"{frame} 0 {track} {x} {right - 1} {y} {bottom - 1} {row['pixels']} {cut:g} {share:g} {moves}\n"
+            f"{frame} {number} {track} {x} {right - 1} {y} {bottom - 1} {row['pixels']} {cut:g} {share:g} {moves}\n"
         )
         name = row["label"].replace(" ", "")
         parts["info"].append(f"{track} {name} {plain(row['path'].rpartition('/')[2])} unknown\n")
@@ -97,4 +99,4 @@ def _write_rows(parts: dict[str, list[str]], frame: int, picture: LabelledPictur
         alpha = (turn - np.arctan2(place[0], place[2]) + np.pi) % (2 * np.pi) - np.pi
         numbers = [alpha, width, height, length, *world[:3], np.arctan2(-heading[2], heading[0]), 0.0, 0.0]
         numbers += [*place, turn, 0.0, 0.0]
-        parts["pose"].append(f"{frame} 0 {track} " + " ".join(f"{value:.6g}" for value in numbers) + "\n")
+        parts["pose"].append(f"{frame} {number} {track} " + " ".join(f"{value:.6g}" for value in numbers) + "\n")

@@ -410,11 +410,11 @@ def test_another_choice_of_shots_adds_to_a_folder(tmp_path, stage):
 
 def test_a_large_picture_is_made_without_its_scene_to_the_same_bytes(unbroken, stage, tmp_path, monkeypatch):
     """Two fogs, for each of which the scene is loaded anew: what is not held when a picture is made does not count."""
-    from synfog_usd.dataset import bake
+    from synfog_usd.dataset import bake, session
 
     loads = []
-    free = bake._Renderer.free
-    monkeypatch.setattr(bake._Renderer, "free", lambda self: (loads.append(self.loaded), free(self)))
+    free = session.Renderer.free
+    monkeypatch.setattr(session.Renderer, "free", lambda self: (loads.append(self.loaded), free(self)))
     monkeypatch.setattr(bake, "ALONE_PX", 64 * 36 - 1)
     fogs = ("clear", "mor150")
     done = run(*arguments(stage, tmp_path / "out"), "--lighting", "sky", "--fog", ",".join(fogs), "--json")

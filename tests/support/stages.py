@@ -151,3 +151,17 @@ def street(
         aperture=aperture_m * k * 10,
         aperture_v=aperture_m * 9 / 16 * k * 10,
     )
+
+
+def rig_stage(folder, *, right=(0.5, 0.0, 0.0), turn_deg=0.0, name="rig"):
+    """The street, its camera `Ego`, and beside it `Rig/Right`, moved by `right` [m] and turned about the vertical."""
+    text = street(sky=300.0, emission=100.0)
+    begin = text.index('    def Camera "Ego"')
+    end = text.index("    variantSet", begin)
+    eye = text[begin:end].replace('"Ego"', '"Right"')
+    eye = eye.replace("float xformOp:rotateX = 90", f"float3 xformOp:rotateXYZ = (90, 0, {turn_deg})")
+    ops = f'double3 xformOp:translate = {right}\n uniform token[] xformOpOrder = ["xformOp:translate", '
+    eye = eye.replace('uniform token[] xformOpOrder = ["xformOp:rotateX"]', f'{ops}"xformOp:rotateXYZ"]')
+    path = folder / f"{name}.usda"
+    path.write_text(text[:end] + f'    def Xform "Rig" {{\n{eye}    }}\n' + text[end:])
+    return path

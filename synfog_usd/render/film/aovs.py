@@ -20,7 +20,7 @@ from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
 from synfog_usd.render.placed import PlacedScene
-from synfog_usd.scene import prototype_of
+from synfog_usd.scene import Camera, prototype_of
 
 MAX_CROSSINGS = 256
 
@@ -32,6 +32,9 @@ MAX_PIERCED = 1024
 
 STEP = 1e-5
 """Least way [1] by which a ray goes on behind a surface, in terms of 1 m and its length; float32 tells 1e-7 of it."""
+
+REACH = 1e-4
+"""A surface that lies so much [1] of its distance, and 0.1 mm, before a point is that point's own."""
 
 NUDGE = (1.3e-5, -0.7e-5, 0.9e-5)
 """Change of direction [1] that takes a ray off an edge; 1 mm at 60 m."""
@@ -209,6 +212,44 @@ def centre_rays(loaded: MitsubaScene) -> tuple[Array, Array]:
     """(P, 3) origins and unit directions of the rays through the pixels' centres, row by row from the top left."""
     camera = loaded.source.camera
     return _Tracer(loaded).centre_rays(np.arange(camera.width_px * camera.height_px))
+
+
+def reached(loaded: MitsubaScene, camera: Camera, distance_m: Array) -> Flags:
+    """(N,) whether another camera sees what the pixels' rays meet, wherever its own picture ends.
+
+    Args:
+        loaded: the scene, without boundaries of fog, from a camera that is a pinhole.
+        camera: the other one, whose near plane counts.
+        distance_m: (N,) from the first one to what its pixels see, row by row from the top left; inf at the sky.
+    """
+    tracer, found = _Tracer(loaded), list[Flags]()
+    for low in range(0, len(distance_m), RAYS):
+        pixels = np.arange(low, min(low + RAYS, len(distance_m)))
+        found.append(_reached(tracer, camera, tracer.centre_rays(pixels)[1], distance_m[pixels]))
+    return np.concatenate(found)
+
+
+def _reached(tracer: _Tracer, camera: Camera, direction: Array, distance_m: Array) -> Flags:
+    eye = tracer.loaded.source.camera.to_world[:3, 3]
+    place, forward = camera.to_world[:3, 3], -camera.to_world[:3, 2]
+    near = np.isfinite(distance_m)
+    way = np.where(near[:, None], eye + direction * np.where(near, distance_m, 0.0)[:, None] - place, direction)
+    length = np.linalg.norm(way, axis=1)
+    onward = way / np.maximum(length, 1e-12)[:, None]
+    least = np.where(near, length * (1.0 - REACH) - REACH, np.inf)
+    ahead = np.maximum(onward @ forward, 1e-6)
+    origin, free = place + onward * (camera.near_m / ahead)[:, None], np.ones(len(way), dtype=bool)
+    alive = np.arange(len(way))
+    for _ in range(MAX_CROSSINGS):
+        if not alive.size:
+            break
+        hits = tracer.trace(origin[alive], onward[alive])
+        met = hits.valid & (np.linalg.norm(hits.position - place, axis=1) < least[alive])
+        stopped = met & (hits.fog < 0) & (hits.see_through < 0.5)
+        free[alive[stopped]] = False
+        origin[alive] = hits.onward
+        alive = alive[met & ~stopped]
+    return free
 
 
 def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
