@@ -34,7 +34,7 @@ TURNED_PX = 0.02
 
 
 @dataclass(frozen=True)
-class Pair:
+class RightEye:
     """The right eye of the camera that looks.
 
     Attributes:
@@ -62,14 +62,14 @@ class Pair:
         return np.asarray(self.focal_px * self.baseline_m / depth_m)
 
 
-def pair_of(scene: SceneDict) -> Pair | None:
+def pair_of(scene: SceneDict) -> RightEye | None:
     """The nearest camera of a scene's rig that is the right eye of the one that looks; None where none is."""
-    left, found = scene.camera, list[Pair]()
+    left, found = scene.camera, list[RightEye]()
     for right in scene.beside:
         beside = left.to_world[:3, :3].T @ (right.to_world[:3, 3] - left.to_world[:3, 3])
         if _same_lens(left, right) and beside[0] > 0.0 and np.abs(beside[1:]).max() <= APART * beside[0]:
             focal = left.width_px / (2.0 * math.tan(math.radians(left.fov_x_deg) / 2.0))
-            found.append(Pair(right, float(beside[0]), focal))
+            found.append(RightEye(right, float(beside[0]), focal))
     return min(found, key=lambda pair: pair.baseline_m, default=None)
 
 
@@ -82,7 +82,7 @@ def _same_lens(one: Camera, other: Camera) -> bool:
     return np.allclose(*numbers, rtol=1e-6, atol=1e-6) and turned <= TURNED_PX * one.pixel_rad
 
 
-def planes(seen: Aovs, pair: Pair, loaded: MitsubaScene) -> npt.NDArray[np.float32]:
+def planes(seen: Aovs, pair: RightEye, loaded: MitsubaScene) -> npt.NDArray[np.float32]:
     """(H, W, 2) disparity [px], and whether the right camera sees the point; see `CHANNELS`.
 
     Args:
