@@ -105,6 +105,10 @@ def shapes(bad):
         for scheme in ("none", "catmullClark"):
             text = mesh(varying("primvars:displayColor", "color3f", colour, interpolation), scheme=scheme)
             yield f"color-{interpolation}-{scheme}", text, "/C"
+    for interpolation in ("uniform", "constant"):
+        text = mesh(varying("primvars:displayColor", "color3f", colour, interpolation))
+        yield f"color-{interpolation}", text, "/C"
+    yield "color-cone", f'def Cone "G"\n{{\n    color3f[] primvars:displayColor = [{colour}]\n}}\n', "/G"
     yield "opacity", mesh(varying("primvars:displayOpacity", "float", bad, "vertex", "1")), "/C"
     for scheme in ("none", "catmullClark"):
         line = BOUND + varying("primvars:st", "texCoord2f", f"({bad}, 0)", "faceVarying", "(1, 1)")
