@@ -169,7 +169,7 @@ def bake(
         for shot in unfinished:
             if shot in scenes.known:
                 check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.denoise))
-        if moved := ledger.set_aside(todo, {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}):
+        if moved := ledger.set_aside(every, {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}):
             log(f"{plan.out}: {moved}")
 
         def label(index: int) -> None:

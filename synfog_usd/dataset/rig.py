@@ -12,9 +12,10 @@ from typing import Any
 
 from synfog_usd import files, system
 from synfog_usd.dataset.bake import Baked, bake
+from synfog_usd.dataset.ledger import MANIFEST
 from synfog_usd.dataset.plan import BakePlan, shots
 from synfog_usd.dataset.session import Reading, begin
-from synfog_usd.errors import ParameterError
+from synfog_usd.errors import OutputError, ParameterError
 from synfog_usd.progress import Progress, silent, within
 
 RIG = "rig.json"
@@ -50,6 +51,11 @@ def bake_cameras(
         one = replace(plan, camera=cameras[0])
         return None, bake(one, progress=progress, log=log, reading=reading, session=session)
     folders = folders_of(cameras)
+    if (plan.out / MANIFEST).is_file():
+        raise OutputError(
+            f"{plan.out / MANIFEST}: a bake of one camera lies here, and {len(cameras)} cameras need a folder of their "
+            f"own; choose another with --out"
+        )
     with reading():
         lightings = dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(session.stage)))
     goes = [(lighting, camera) for lighting in lightings for camera in cameras]

@@ -13,7 +13,7 @@ from synfog_usd.dataset import session
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras, folders_of
-from synfog_usd.errors import ParameterError, StageError
+from synfog_usd.errors import OutputError, ParameterError, StageError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.sets.definition import make_set
 from synfog_usd.sets.scenes import scene
@@ -156,6 +156,13 @@ def test_cameras_are_named_by_path_name_or_what_is_above():
     with pytest.raises(StageError, match=r"--camera Rigth.*Did you mean"):
         stage.named_cameras(opened, ["Rigth"])
     assert folders_of(stage.cameras(opened))["/Rig/Left"] == "Rig_Left"
+
+
+def test_several_cameras_do_not_go_beside_the_bake_of_one(tmp_path):
+    """Whose shots and manifest would be taken for theirs."""
+    (tmp_path / "bake.json").write_text("{}")
+    with pytest.raises(OutputError, match="a bake of one camera lies here, and 2 cameras need"):
+        bake_cameras(BakePlan(rig_stage(tmp_path), tmp_path, **SMALL), ["/World"])
 
 
 def test_another_way_of_metering_is_refused(tmp_path):
