@@ -39,7 +39,6 @@ class Model:
         regularizes: whether it widens mirrors before lamps, see `surface.blur`, unless told not to.
         limits: whether its paths can be cut short.
         worth_a_pilot: whether the planner tries it although its error is one that samples do not cure.
-        froxels: its sibling that takes the airlight from a radiance cache, or ''.
     """
 
     make: Callable[..., Integrator]
@@ -53,7 +52,6 @@ class Model:
     regularizes: bool = False
     limits: bool = False
     worth_a_pilot: bool = False
-    froxels: str = ""
 
     @property
     def boundaries(self) -> bool:
@@ -95,13 +93,6 @@ MODELS: dict[str, Model] = {
         regularizes=True,
         worth_a_pilot=True,
     ),
-    "glow": Model(
-        make=_of("glow", "make_glow"),
-        refuses=_of("glow", "glow_refuses"),
-        valid="for lamps alone in uniform fog without large obstacles, far from its edge; see `integrators.glow`",
-        cost=0.5,
-        worth_a_pilot=True,
-    ),
     "single": Model(
         make=_of("tracer", "make_single"),
         refuses=_of("tracer", "path_refuses"),
@@ -111,25 +102,6 @@ MODELS: dict[str, Model] = {
         regularizes=True,
         worth_a_pilot=True,
     ),
-    "field": Model(
-        make=_of("tracer", "make_tracer", in_froxels=True),
-        refuses=_of("tracer", "path_refuses"),
-        valid=(
-            "where `path` is, and as far as light that the fog scattered more than once (a sky's: once) changes "
-            "little over 1.5 degrees"
-        ),
-        bands=True,
-        regularizes=True,
-    ),
-    "field+slab": Model(
-        make=_of("tracer", "make_tracer", with_slab=True, in_froxels=True),
-        refuses=_of("tracer", "slab_refuses"),
-        valid="where `field` and `path+slab` are",
-        cost=1.2,
-        needs_slab=True,
-        bands=True,
-        regularizes=True,
-    ),
     "path": Model(
         make=_of("tracer", "make_tracer"),
         refuses=_of("tracer", "path_refuses"),
@@ -138,7 +110,6 @@ MODELS: dict[str, Model] = {
         bands=True,
         regularizes=True,
         limits=True,
-        froxels="field",
     ),
     "path+slab": Model(
         make=_of("tracer", "make_tracer", with_slab=True),
@@ -151,7 +122,6 @@ MODELS: dict[str, Model] = {
         bands=True,
         regularizes=True,
         limits=True,
-        froxels="field+slab",
     ),
     "volpath": Model(
         make=_of("peers", "make_peer", plugin="volpath"),

@@ -21,7 +21,6 @@ from synfog_usd.render import backend
 from synfog_usd.render.denoise import Guides, guides
 from synfog_usd.render.film.accumulator import (
     ALL,
-    INSCATTERED,
     Accumulator,
     Estimator,
     Integrator,
@@ -277,13 +276,11 @@ def accumulate(
             if isinstance(integrator, FogPath):
                 begun = number * parts.samples // 2  # numbers of paths go on from part to part, and so does their order
                 found = new_accumulator(integrator, pixels)
-                own = [name for name in found.estimators if found.radiance_cache is None or name != INSCATTERED]
-                for name in own:
+                for name in found.estimators:
                     found.estimators[name].counts += begun
                 rows = np.flatnonzero(np.repeat(part.share > 0.0, camera.width_px))
-                own_seed = seed if found.radiance_cache is None else seed32(seed, "moment", number)
-                add_samples(found, integrator, rows, found.even(parts.samples), own_seed, told)
-                for name in own:
+                add_samples(found, integrator, rows, found.even(parts.samples), seed, told)
+                for name in found.estimators:
                     found.estimators[name].counts -= begun
             else:
                 found = integrator.accumulate(samples=parts.samples, seed=seed32(seed, "moment", number), progress=told)

@@ -352,7 +352,6 @@ def sample(
         cleaning.see(accumulated)
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
     number, spent = accumulated.samples, accumulated.samples_per_pixel
-    accumulated.radiance_cache = None  # which holds the scene
     backend.let_go()
 
     def picture(progress: Progress = silent) -> Rendered:

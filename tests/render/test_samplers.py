@@ -16,11 +16,9 @@ from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
 from synfog_usd.render.lights import sampler as light_sampler
 from synfog_usd.render.lights.grid import FLOOR, LightDistribution
-from synfog_usd.render.lights.guiding import LightGuide
-from synfog_usd.render.lights.importance import Importance
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
-from synfog_usd.testing import box, uniform_fog
+from synfog_usd.testing import box
 
 COUNT = 400_000
 EYE = np.array([0.0, 0.0, 1.5])
@@ -77,79 +75,6 @@ def street():
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [900.0] * 3}},
         },
     }
-
-
-@pytest.fixture
-def guide(mi):
-    medium = Medium([uniform_fog(100.0, visibility_m=80.0)])
-    return LightGuide(Importance(LightSampler(street(), {}), medium), medium)
-
-
-WAYS = {"past all lamps": (0.1, 0.97, 0.12), "away from them": (0.3, -0.9, 0.1), "through the cone": (-0.3, 0.9, -0.05)}
-
-
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_distances_are_guided_as_their_density_says(mi, guide, way):
-    """200 cells of the same chance between 0.5 and 40 m; the density integrates to 1 within 0.02 %."""
-    begin, end = 0.5, 40.0
-    origin, direction = mi.Point3f(EYE.tolist()), dr.normalize(mi.Vector3f(*way))
-    lane = dr.zeros(mi.Float, COUNT)
-    drawn = guide.distance(origin, direction, lane + begin, lane + end, uniform(mi, 1), uniform(mi, 2))
-    places = np.linspace(begin, end, 400_001)
-    width = len(places)
-    lane = dr.zeros(mi.Float, width)
-    density = guide.distance_density(origin, direction, lane + begin, lane + end, mi.Float(places.astype(np.float32)))
-    density = np.array(density, dtype=np.float64)
-    below = np.r_[0.0, np.cumsum((density[1:] + density[:-1]) / 2.0 * np.diff(places))]
-    assert below[-1] == pytest.approx(1.0, abs=2e-4)
-    edges = np.interp(np.linspace(0.0, below[-1], 201), below, places)
-    edges[0], edges[-1] = begin - 1e-3, end + 1e-3
-    assert_draws(np.histogram(np.array(drawn, dtype=np.float64), edges)[0], np.ones(200))
-
-
-@pytest.mark.parametrize(
-    "place", [(0.0, 10.0, 1.0), (3.0, 18.0, 2.0), (0.0, -60.0, 1.0)], ids=["amid", "beside the bulb", "far off"]
-)
-def test_directions_are_guided_as_their_density_says(mi, guide, place):
-    """20 x 40 cells of the sphere; their chances by midpoints in rings about each lamp; the density integrates to 1
-    within 0.1 %.
-    """
-    lane = dr.zeros(mi.Float, COUNT)
-    here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
-    drawn = np.array(guide.direction(here, uniform(mi, 3), uniform(mi, 4, 2)), dtype=np.float64)
-    np.testing.assert_allclose(np.linalg.norm(drawn, axis=0), 1.0, rtol=1e-5)
-    lamps = np.array([[-4.0, 12.0, 6.0], [3.0, 20.0, 2.0], [4.0, 8.0, 5.0], [-4.0 / 3.0, 15.0, 1.0 / 3.0]]) - place
-    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
-    ways, solid_angles = around(lamps)
-    lane = dr.zeros(mi.Float, ways.shape[1])
-    here = mi.Point3f(lane + place[0], lane + place[1], lane + place[2])
-    density = np.array(guide.direction_density(here, mi.Vector3f(ways.astype(np.float32))), dtype=np.float64)
-    assert density @ solid_angles == pytest.approx(1.0, abs=1e-3)
-
-    def cells(ways, weights=None):
-        edges = np.linspace(-1.0001, 1.0001, 21), np.linspace(-np.pi, np.pi, 41)
-        return np.histogram2d(ways[2], np.arctan2(ways[1], ways[0]), bins=edges, weights=weights)[0]
-
-    assert_draws(cells(drawn), cells(ways, density * solid_angles))
-
-
-def around(axes, rings=1500, sectors=700):
-    """Directions (3, M) all over the sphere and the solid angle (M,) of each, in rings about the nearest of axes (K,
-    3): there the density has no end.
-    """
-    theta, phi = (np.arange(rings) + 0.5) / rings * np.pi, (np.arange(sectors) + 0.5) / sectors * 2.0 * np.pi
-    sine = np.sin(theta)[:, None]
-    local = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)[:, None] + 0.0 * phi]).reshape(3, -1)
-    each = np.repeat(np.sin(theta), sectors) * (np.pi / rings) * (2.0 * np.pi / sectors)
-    ways, angles = [], []
-    for number, axis in enumerate(axes):
-        side = np.cross(axis, [0.0, 0.0, 1.0])
-        side /= np.linalg.norm(side)
-        turned = np.stack([side, np.cross(axis, side), axis], axis=1) @ local
-        own = np.argmax(axes @ turned, axis=0) == number
-        ways.append(turned[:, own])
-        angles.append(each[own])
-    return np.concatenate(ways, axis=1), np.concatenate(angles)
 
 
 def test_a_lamp_is_chosen_by_place_as_its_chance_says(mi):

@@ -54,9 +54,13 @@ HALF_STRIDE = 1 << 30
 ALL = "all"
 """The one estimator and AOV of an integrator that tells none apart."""
 
-SURFACE, LAMPS, INSCATTERED = "surface", "lamps", "air"
-"""Three estimators of what the eye sees: surfaces through the fog; lamps, scattered once into the line of sight; all
-other in-scattered radiance.  Their words seed streams of random numbers: another word would be another picture."""
+SURFACE, INSCATTERED = "surface", "air"
+"""Two estimators of what the eye sees: surfaces through the fog, and in-scattered radiance; of all light but lamps'.
+Their words seed streams of random numbers: another word would be another picture."""
+
+LAMPS, SURFACE_OF_LAMPS, INSCATTERED_OF_LAMPS = "lamps", "surface_of_lamps", "air_of_lamps"
+"""Three estimators of lamps' light: scattered once into the line of sight; on surfaces; all else that is in-scattered.
+"""
 
 SINGLE, MULTIPLE = "airlight_single", "airlight_multiple"
 
@@ -78,11 +82,21 @@ AOVS = {
     LIT: (SURFACE,),
     LAMPS: (SINGLE,),
     INSCATTERED: (SINGLE, MULTIPLE),
+    SURFACE_OF_LAMPS: (SURFACE,),
+    INSCATTERED_OF_LAMPS: (SINGLE, MULTIPLE),
     DIRECT: (DIRECT,),
 }
 """Which AOVs each estimator adds to."""
 
-ESTIMATOR_COST = {SURFACE: 1.0, LIT: 0.3, LAMPS: 0.2, INSCATTERED: 1.3, DIRECT: 0.02}
+ESTIMATOR_COST = {
+    SURFACE: 1.0,
+    INSCATTERED: 1.0,
+    SURFACE_OF_LAMPS: 4.0,
+    INSCATTERED_OF_LAMPS: 4.0,
+    LIT: 0.4,
+    LAMPS: 0.25,
+    DIRECT: 0.03,
+}
 """Seconds of a path of each estimator, relative; measured on bench stages and the crossing within a factor of 1.7, and
 fixed, so that the same seed gives the same bytes."""
 
@@ -151,15 +165,11 @@ class Moments:
         aovs: light in all bands (R, G and B, or more) for each of the estimator's `AOVS`.
         groups: light by light group; empty where there is only one.
         lost: paths that were not finite and count as zero.
-        seen: paths of a cell that nothing hid; 0 for pixels.
-        squares: of the whole path's light in all bands, for cells; None for pixels.
     """
 
     aovs: tuple[Any, ...]
     groups: tuple[Any, ...]
     lost: Any
-    seen: Any = 0
-    squares: Any = None
 
 
 def idle() -> None:
@@ -194,9 +204,6 @@ class Traces(Integrator, Protocol):
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
         path.
         """
-
-    def radiance_cache(self) -> Any:
-        """The cache from which INSCATTERED is looked up, or None."""
 
 
 @dataclass
@@ -267,14 +274,11 @@ class Accumulator:
         estimators: name -> sums; estimators are independent of each other.
         lost: samples that were not finite and count as zero.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
-        radiance_cache: froxels from which the estimator INSCATTERED is looked up, or None where it is sampled pixel by
-            pixel. Its `counts` are then of paths in each froxel.
     """
 
     estimators: dict[str, Estimator]
     lost: int = 0
     weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
-    radiance_cache: Any = None
 
     def mean(self) -> Array:
         """(P, C) all light."""
@@ -348,35 +352,17 @@ class Accumulator:
 
     @property
     def samples(self) -> int:
-        """Of all estimators and pixels, and of cells."""
-        own = sum(
-            estimator.counts.sum()
-            for name, estimator in self.estimators.items()
-            if self.radiance_cache is None or name != INSCATTERED
-        )
-        return int(own + (self.radiance_cache.paths if self.radiance_cache is not None else 0))
+        """Of all estimators and pixels."""
+        return int(sum(estimator.counts.sum() for estimator in self.estimators.values()))
 
     @property
     def samples_per_pixel(self) -> float:
         """Mean over the estimators that sample pixels, weighted by what a sample costs: a picture of so many samples of
         each of them costs the same.
         """
-        cached = self.radiance_cache is not None
-        spent = {
-            name: part.counts.sum(axis=0).mean()
-            for name, part in self.estimators.items()
-            if not (cached and name == INSCATTERED)
-        }
+        spent = {name: part.counts.sum(axis=0).mean() for name, part in self.estimators.items()}
         cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in spent}
         return float(sum(cost[name] * count for name, count in spent.items()) / sum(cost.values()))
-
-    def cost(self, name: str) -> float:
-        """Seconds of one more sample of an estimator, relative."""
-        return (
-            self.radiance_cache.cost
-            if self.radiance_cache is not None and name == INSCATTERED
-            else ESTIMATOR_COST[name]
-        )
 
     def even(self, samples: int, *, denoised: bool = False) -> dict[str, int]:
         """As many samples of each estimator, but where they will be denoised less of INSCATTERED, see `SMOOTH`, and of
@@ -389,10 +375,6 @@ class Accumulator:
         if denoised and LIT in found:
             found[SURFACE] = max(HALVES, round(SURFACE_BESIDE_LIT * samples))
             found[LIT] = round(LIT_IN_FRONT * samples)
-        if self.radiance_cache is not None:
-            found[INSCATTERED] = max(
-                2, min(round(samples * ESTIMATOR_COST[INSCATTERED] / self.radiance_cache.cost), 4 * samples)
-            )
         return found
 
 
@@ -469,13 +451,13 @@ def neyman_allocation(
             / scale**2
         )
         noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
-    if denoised and INSCATTERED in noise and accumulated.radiance_cache is None:
+    if denoised and INSCATTERED in noise:
         noise[INSCATTERED] *= SMOOTH
-    weight = {name: max(np.sqrt(value / accumulated.cost(name)), 1e-6) for name, value in noise.items()}
+    weight = {name: max(np.sqrt(value / ESTIMATOR_COST[name]), 1e-6) for name, value in noise.items()}
     unit = (
         samples
         * sum(ESTIMATOR_COST[name] for name in weight)
-        / sum(accumulated.cost(name) * value for name, value in weight.items())
+        / sum(ESTIMATOR_COST[name] * value for name, value in weight.items())
     )
     return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
 
@@ -507,7 +489,6 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
     return Accumulator(
         {estimator: empty(estimator) for estimator in integrator.estimators},
         weights=bands.weights,
-        radiance_cache=integrator.radiance_cache(),
     )
 
 
@@ -525,17 +506,7 @@ def add_samples(
         pixels: (N,) their numbers, ascending.
         samples: estimator -> paths a pixel, or in each cell; half of them, or one more, go to the first half.
     """
-    if accumulated.radiance_cache is not None and samples.get(INSCATTERED, 0) > 0:
-        own = {name: count for name, count in samples.items() if name != INSCATTERED}
-        if own:
-            add_samples(
-                accumulated, integrator, pixels, own, seed, lambda what, fraction: progress(what, 0.6 * fraction)
-            )
-        _read_cache(
-            accumulated, samples[INSCATTERED], seed, lambda what, fraction: progress(what, 0.6 + 0.4 * fraction)
-        )
-        return
-    all_of_it = max(len(pixels) * sum(count * accumulated.cost(name) for name, count in samples.items()), 1.0)
+    all_of_it = max(len(pixels) * sum(count * ESTIMATOR_COST[name] for name, count in samples.items()), 1.0)
     under_way: list[_Launch] = []
     done, times = 0.0, _times(integrator)
 
@@ -546,7 +517,7 @@ def add_samples(
             task()
         for launch in under_way:
             _add(accumulated, launch)
-            done += launch.paths * accumulated.cost(launch.name)
+            done += launch.paths * ESTIMATOR_COST[launch.name]
         if under_way:  # told once, since to wait for one is to wait for all
             progress("rendering", min(done / all_of_it, 1.0))
         under_way.clear()
@@ -588,29 +559,6 @@ def _chunks(count: int, pixels: int, begun: Sequence[int], times: int) -> list[t
         rows = max(1, times * (SHORT_LANES if 2 * length <= CHUNK else CHUNKED_LANES) // max(pixels, 1))
         found += [(length, chunks[low : low + rows]) for low in range(0, len(chunks), rows)]
     return found
-
-
-def _read_cache(accumulated: Accumulator, count: int, seed: int, progress: Progress) -> None:
-    """Begin paths in the cells, and look the airlight of every pixel up anew."""
-    cache, estimator = accumulated.radiance_cache, accumulated.estimators[INSCATTERED]
-    before = cache.lost
-    cache.add_samples(count, seed32(seed, INSCATTERED), progress)
-    accumulated.lost += cache.lost - before
-    rays = (
-        math.isqrt(int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0))))
-        if SURFACE in accumulated.estimators
-        else 1
-    )
-    aovs, groups, noise = cache.airlight(rays, seed32(seed, "rays"))
-    number = HALVES * max(cache.count // HALVES, 1)
-    estimator.lanes = None
-    estimator.squares = (noise * (number - 1) + sum(aovs) ** 2) * number
-    halved = [
-        np.broadcast_to((aov * (number / HALVES)).astype(np.float32), (HALVES, *aov.shape)) for aov in aovs
-    ]  # what is smooth counts as known
-    estimator.aovs = dict(zip(estimator.aovs, halved, strict=True))
-    estimator.groups = [number * (estimator.cut.sums(group) if estimator.cut else group) for group in groups]
-    estimator.counts = np.full_like(estimator.counts, number // HALVES)
 
 
 @dataclass(frozen=True)

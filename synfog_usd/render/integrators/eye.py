@@ -1,8 +1,7 @@
-"""The eye: rays through points, pixels, froxels and tiles of a view, in traced code."""
+"""The eye: rays through points, pixels and tiles of a view, in traced code."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -15,25 +14,6 @@ from synfog_usd.render.motion import moved
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
-
-
-@dataclass(frozen=True)
-class FroxelGrid:
-    """A camera's view cut into columns of pixels and, by what the fog leaves of them, slices.
-
-    Attributes:
-        columns, rows: of the picture; they need not be whole pixels.
-        slices: each holds the same share of what a ray scatters in all fog, were it endless.
-    """
-
-    columns: int
-    rows: int
-    slices: int
-
-    @property
-    def count(self) -> int:
-        """Of all cells."""
-        return self.columns * self.rows * self.slices
 
 
 class Eye:
@@ -51,9 +31,9 @@ class Eye:
         self._ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
         dr.make_opaque(self._ahead)
 
-    def ray(self, sampler: Any, corner: Any, active: Any, size: Any = 1.0) -> tuple[Any, Any]:
-        """A ray through a random point of the pixel, or of a cell `size` pixels wide, and its weight."""
-        place = (corner + backend.mitsuba().Point2f(sampler.next_2d(active)) * size) / self.raster.size
+    def ray(self, sampler: Any, corner: Any, active: Any) -> tuple[Any, Any]:
+        """A ray through a random point of the pixel, and its weight."""
+        place = (corner + backend.mitsuba().Point2f(sampler.next_2d(active))) / self.raster.size
         return self.ray_through(place, sampler, active)
 
     def ray_through(self, place: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
@@ -76,25 +56,4 @@ class Eye:
         raster = self.raster
         return pixel % raster.width * TILES[0] // raster.width + TILES[0] * (
             pixel // raster.width * TILES[1] // raster.height
-        )
-
-    def region(self, cells: FroxelGrid | None, pixel: Any) -> tuple[Any, Any, Any]:
-        """Top left corner of pixels, or of cells, and the size of one, both in pixels; and the slices of the cells."""
-        mi = backend.mitsuba()
-        if cells is not None:
-            return self.froxel(pixel, cells)
-        return self.raster.corner(pixel), mi.Point2f(1.0), mi.Float(0.0)
-
-    def froxel(self, cell: Any, cells: FroxelGrid) -> tuple[Any, Any, Any]:
-        """(u, v) of the top left corners of cells, in pixels; the width and height of one, in pixels; the slices that
-        they are in.
-        """
-        mi = backend.mitsuba()
-        columns, column_count = dr.opaque(mi.UInt32, cells.columns), dr.opaque(mi.UInt32, cells.columns * cells.rows)
-        size = self.raster.size / mi.Point2f(dr.opaque(mi.Float, cells.columns), dr.opaque(mi.Float, cells.rows))
-        column = cell % column_count
-        return (
-            mi.Point2f(mi.Float(column % columns), mi.Float(column // columns)) * size,
-            size,
-            mi.Float(cell // column_count),
         )

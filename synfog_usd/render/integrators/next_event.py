@@ -12,13 +12,15 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.lights.grid import LightGrid
-from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks
+from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks, emitter_index
 from synfog_usd.render.lights.panes import Panes
+from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
@@ -70,11 +72,13 @@ class NextEvent:
     Args:
         loaded, medium: the scene and its fog.
         lights: those that are sampled by where they matter.
+            With none of them it is the scene's own choice that is asked, for all other light.
         others: how many other lights there are but the environment.  Where there are none, a scattering in the fog
             sends them no shadow ray: the phase function's own sample finds a sky better.
         sky_known: whether the sky's light is known already, so that no shadow ray looks for it.
         eye: the camera.
         groups: the lights' groups and kinds.
+        lamp_faces: see `lamp_faces`; None where all light counts.
 
     Attributes:
         at_surfaces, in_fog: whether vertices there ask the scene's own choice of lights.
@@ -96,10 +100,11 @@ class NextEvent:
         sky_known: bool,
         eye: Eye,
         groups: LightGroups,
+        lamp_faces: Any = None,
     ) -> None:
         self.loaded, self.medium, self.lights, self.groups, self.bands = loaded, medium, lights, groups, groups.bands
-        self.sky_known, self.foggy = sky_known, medium.foggy
-        sky = loaded.scene.environment() is not None
+        self.sky_known, self.foggy, self.lamp_faces = sky_known and not lights.count, medium.foggy, lamp_faces
+        sky = loaded.scene.environment() is not None and not lights.count
         self.in_fog = others > 0
         self.at_surfaces = others > 0 or (sky and not sky_known)
         self.sky = SkyTable.of(loaded) if self.at_surfaces and others == 0 else None
@@ -256,6 +261,9 @@ class NextEvent:
             area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit)
             lamp_pdf = self.face_pdf(lamp, area_pdf, si, prev_p, prev_gloss, prev_weighed)
             weight = dr.select((area_pdf > 0.0) & (prev_weighed > 0.0), mis_weight(prev_pdf, lamp_pdf), weight)
+        if self.lamp_faces is not None:
+            is_lamp = dr.gather(mi.UInt32, self.lamp_faces, dr.reinterpret_array(mi.UInt32, emitter), ended) > 0
+            ended &= is_lamp == mi.Bool(self.lights.count > 0)
         weight = dr.select(prev_delta, 1.0, weight)  # else a lamp's face counts here only for the eye and for mirrors
         if self.lit_faces is not None:
             weight = dr.select(lit_apart & (area_pdf > 0.0), 0.0, weight)
@@ -287,6 +295,19 @@ class NextEvent:
             if self.bands.coloured:
                 through = through * self.bands.fade(tau)
         return free, through
+
+
+def lamp_faces(loaded: MitsubaScene) -> Any:
+    """(E,) 1 for each of the scene's own emitters that is the face of a lamp, else 0; by the renderer's index."""
+    world = loaded.source.world
+    lamps = [
+        emitter_index(loaded.shapes[(key,)].emitter())
+        for key, part in world.items()
+        if is_sampled_light(part) and part["type"] == "mesh" and (key,) in loaded.shapes
+    ]
+    flags = np.zeros(max([emitter_index(emitter) for emitter in loaded.scene.emitters()], default=0) + 1, np.uint32)
+    flags[lamps] = 1
+    return backend.numbers(flags)
 
 
 def mis_weight(pdf: Any, other: Any) -> Any:

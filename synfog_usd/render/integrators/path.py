@@ -17,9 +17,15 @@ as far as S fulfils the equation of transfer.
 The estimator below is the usual one (Kajiya and Von Herzen 1984; Pauly et al. 2000):
 flights in proportion to transmittance, phase function and BSDF sampling combined with
 emitter sampling by the power heuristic (Veach and Guibas 1995), lamps by resampling
-(`lights.sampler`), Russian roulette.  Its one bias: where there are lamps, lobes are as wide as the path is spread
-before them, less the more paths a pixel has, so that it vanishes with them (`surface.blur`); and a lamp that is a point
-is mirrored as its glass (`surface.lit_from`).
+(`lights.sampler`), Russian roulette.
+
+**Lamps apart.**  Light of lamps and all other light (sky, sun, pictures that shine) are estimators of their own, with
+paths of their own.  Paths for the sky need no loop over the lamps, paths for lamps no look at the sky, and each gets as
+many samples as its own noise asks for.
+
+**Regularization.**  On paths to lamps, mirror lobes are widened after a rough or foggy vertex (Kaplanyan and
+Dachsbacher 2013), so that small lamps leave no fireflies.  The bias falls as n^(-1/6) with the number n of a pixel's
+path (`surface.blur`).  A lamp that is a point is mirrored as its glass (`surface.lit_from`).
 
 `eye` has the camera's rays, `next_event` the lights that are asked, `lamps` the
 estimators that end at the first vertex, `light_groups` the sums.
@@ -27,7 +33,7 @@ estimators that end at the first vertex, `light_groups` the sums.
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,21 +47,22 @@ from synfog_usd.render.film.accumulator import (
     DIRECT,
     HALF_STRIDE,
     INSCATTERED,
+    INSCATTERED_OF_LAMPS,
     LAMPS,
     LIT,
     SURFACE,
+    SURFACE_OF_LAMPS,
     Accumulator,
     Moments,
     accumulate_by_estimator,
     idle,
 )
 from synfog_usd.render.integrators import lamps
-from synfog_usd.render.integrators.eye import Eye, FroxelGrid
+from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups
-from synfog_usd.render.integrators.next_event import NextEvent, mis_weight
+from synfog_usd.render.integrators.next_event import NextEvent, lamp_faces, mis_weight
 from synfog_usd.render.integrators.tasks import Tasks
-from synfog_usd.render.lights.guiding import GUIDE_PROBABILITY, MOST_GUIDED, LightGuide
-from synfog_usd.render.lights.importance import Gloss, Importance
+from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.control_variate import ControlVariate
@@ -70,16 +77,7 @@ and 16 alike,
 2 and 40 up to a quarter worse."""
 
 FAINT = 0.5
-"""Share of its throughput after the first vertex below which a path is played for at once: what is seen of a dark
-surface is as noisy as of a bright one.
-"""
-
-GROWN, GUIDE_DIRECTIONS, GUIDE_DIRECTIONS_GROWN = 1.5, 0.3, 0.15
-"""Growth of the throughput from the first vertex on beyond which a path is guided less, and shares of directions that
-are drawn towards lamps before and after: what guiding misses weighs up to 1.4 times as much at every scattering.
-Variance of the air at dusk without the worst hundredth: 1.6 with 0.5 and 0.15, 1.2 with these, 1.0 with 0.15 alone,
-which leaves more fireflies.
-"""
+"""Share of a path's throughput after the first vertex below which it faces Russian roulette from the first event on."""
 
 DIFFERENCE_RR_PROB = 0.8
 """Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
@@ -140,43 +138,48 @@ class FogPath:
         self.sky_group = groups.index("sky") if "sky" in groups else 0
         self.light_groups = LightGroups(groups, group_of_emitter, self.bands)
         self.eye = Eye(loaded)
-        self.asks = NextEvent(
-            loaded,
-            medium,
-            lights,
-            others=others,
-            sky_known=control is not None,
-            eye=self.eye,
-            groups=self.light_groups,
-        )
-        place = loaded.source.camera.to_world[:3, 3].copy()
-        self.guide = (
-            LightGuide(Importance(lights, medium, MOST_GUIDED, place), medium)
-            if lights.count and medium.foggy
-            else None
-        )
+        self.asks = self._next_event(others)
         self.meanwhile = idle
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.most_spread = dr.opaque(backend.mitsuba().Float, MOST_SPREAD if regularize else 0.0)
         self.limited = self.truncation.scatterings < UNLIMITED
-        self.estimators = (
-            SURFACE,
-            *((LIT,) if self.asks.importance is not None else ()),
-            *((LAMPS,) if medium.foggy and lights.count and self.truncation.scatterings > 0 else ()),
-            *((INSCATTERED,) if self._has_inscattering() else ()),
-            *((DIRECT,) if self.asks.visible is not None and self.asks.visible.count else ()),
-        )
+        self.estimators = tuple(self._estimators())
 
-    def _has_inscattering(self) -> bool:
-        return self.foggy and (self.truncation.scatterings > 0 or self.control is not None)
+    def _next_event(self, others: int) -> dict[bool, NextEvent]:
+        """What asks for light of lamps (True), and for all other light; each only where the scene has it."""
+        lit, sky = self.lights.count > 0, self.loaded.scene.environment() is not None
+        both = lit and (sky or others > 0)
+        flags = lamp_faces(self.loaded) if both else None
+        how = {"eye": self.eye, "groups": self.light_groups, "sky_known": self.control is not None}
+        asks = {}
+        if not lit or both:
+            none = LightSampler({}, {})
+            asks[False] = NextEvent(self.loaded, self.medium, none, others=others, lamp_faces=flags, **how)
+        if lit:
+            asks[True] = NextEvent(self.loaded, self.medium, self.lights, others=0, lamp_faces=flags, **how)
+        return asks
+
+    def _estimators(self) -> Iterator[str]:
+        """Names of the estimators that this scene needs."""
+        ask_lamps, scatters = self.asks.get(True), self.foggy and self.truncation.scatterings > 0
+        if False in self.asks:
+            yield SURFACE
+            if scatters or (self.foggy and self.control is not None):
+                yield INSCATTERED
+        if ask_lamps is None:
+            return
+        yield SURFACE_OF_LAMPS
+        if ask_lamps.importance is not None:
+            yield LIT
+        if scatters:
+            yield LAMPS
+            yield INSCATTERED_OF_LAMPS
+        if ask_lamps.visible is not None and ask_lamps.visible.count:
+            yield DIRECT
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
         """An image, see `Integrator`."""
         return accumulate_by_estimator(self, samples=samples, seed=seed, progress=progress)
-
-    def radiance_cache(self) -> Any:
-        """The cache from which the estimator INSCATTERED is looked up; None, since it is sampled pixel by pixel."""
-        return None
 
     def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
         """Trace `count` paths of an estimator in each lane.
@@ -194,29 +197,14 @@ class FogPath:
             return lamps.trace_direct(self, pixel, first, count, seed)
         if estimator == LIT:
             return lamps.trace_lit(self, pixel, first, count, seed)
-        return self.trace_paths(estimator == INSCATTERED, pixel, first, count, seed)
-
-    def trace_froxels(self, cells: FroxelGrid, cell: Any, first: Any, count: int, seed: int) -> Moments:
-        """Light that the fog in each cell scatters towards the camera, per share of the ray; but lamps' that it
-        scatters once.
-
-        Args:
-            cells: how the view is cut.
-            cell: (N,) number of each lane's cell: slice by slice from the camera on, each row by row from the top left.
-            first, count, seed: as in `trace`.
-
-        Returns:
-            sums over the paths that `seen` counts: those whose place in the cell nothing hides.  With a
-            `ControlVariate` they are of the difference to its light.
-        """
-        return self.trace_paths(True, cell, first, count, seed, cells)
+        of_lamps = estimator in (SURFACE_OF_LAMPS, INSCATTERED_OF_LAMPS)
+        inscattered = estimator in (INSCATTERED, INSCATTERED_OF_LAMPS)
+        return self.trace_paths(self.asks[of_lamps], inscattered, pixel, first, count, seed)
 
     @dr.syntax
-    def trace_paths(
-        self, inscattered: bool, pixel: Any, first: Any, count: int, seed: int, cells: FroxelGrid | None = None
-    ) -> Moments:
-        """Paths whose first segment meets a surface, or (`inscattered`) is scattered, anywhere or within `cells`; other
-        arguments as in `trace`.
+    def trace_paths(self, asks: NextEvent, inscattered: bool, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+        """Paths whose first segment meets a surface, or (`inscattered`) is scattered, to the light that `asks` counts;
+        other arguments as in `trace`.
 
         A lane whose path has ended begins its next one at once, and goes on with another pixel where one has all its
         paths: vector units work on 16 lanes in step, and would otherwise wait for the longest path of the 16.
@@ -224,28 +212,24 @@ class FogPath:
         mi = backend.mitsuba()
         context, medium, bands, black = mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        in_froxels, lit_apart = cells is not None, LIT in self.estimators and not inscattered
-        slices = float(cells.slices if in_froxels else 1)
+        lit_apart, control = LIT in self.estimators and not inscattered, None if asks.lights.count else self.control
 
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
         parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
-        squared = int(in_froxels)
         sums = self.light_groups.begun()  # over the paths of a task: light by light group
-        tasks = Tasks(pixel, first, count, bands.count * (parts + squared + len(sums)), 2)
-        task, region = tasks.begun(), functools.partial(self.eye.region, cells)
+        tasks = Tasks(pixel, first, count, bands.count * (parts + len(sums)), 1)
+        task = tasks.begun()
         pixel, first = tasks.of(task, mi.Bool(True))
-        corner, size, nearest = region(pixel)
 
         # ---- Its other sums
         aovs = [bands.black() for _ in range(parts)]  # light by AOV
-        squares = [bands.black() for _ in range(squared)]  # of each path's light
         lost = mi.UInt32(0)  # paths that were not finite
-        seen = mi.UInt32(0)  # paths of a froxel that nothing hid
         begun = mi.UInt32(0)  # paths of the task that have ended
 
         # ---- State of the path that is under way
         sampler = Sobol(image_seed, pixel, first)  # its random numbers
-        ray, view_weight = self.eye.ray(sampler, corner, mi.Bool(True), size)  # the segment that comes next
+        # The segment that comes next
+        ray, view_weight = self.eye.ray(sampler, self.eye.raster.corner(pixel), mi.Bool(True))
         throughput = bands.even(view_weight)  # beta: what its light counts
         scale = mi.Float(
             1.0
@@ -270,7 +254,6 @@ class FogPath:
 
         while active:
             at_eye = active & (depth == 0)
-            corner, size, nearest = region(pixel)
 
             # ==== 1. Free flight: where the fog would scatter the path, if nothing stands before
             may_scatter = active & ~at_eye
@@ -281,7 +264,7 @@ class FogPath:
 
             # ==== 2. What the segment meets
             segment = mi.Ray3f(ray)
-            if dr.hint(self.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
+            if dr.hint(asks.lights.count == 0, mode="scalar"):  # lamps are asked all along the ray
                 segment.maxt = dr.minimum(flight, segment.maxt)
             si = self.loaded.tree.ray_intersect(segment, active=active)
             stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)  # where the fog before the surface ends
@@ -291,9 +274,9 @@ class FogPath:
 
             # ==== 3. Control variate: at the eye the airlight between two ends, later a jump wherever its domain is
             # entered or left
-            if dr.hint(self.control is not None, mode="scalar"):
+            if dr.hint(control is not None, mode="scalar"):
                 jump = throughput * self.control_jump(ray, flight, end, active, at_eye, surface_hit, may_scatter)
-                if dr.hint(not inscattered or in_froxels, mode="scalar"):
+                if dr.hint(not inscattered, mode="scalar"):
                     jump = dr.select(at_eye, black, jump)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, jump, mi.UInt32(2), mi.UInt32(0))
 
@@ -305,30 +288,23 @@ class FogPath:
                     throughput = dr.select(
                         active & ~at_eye & ~may_scatter, throughput * transmittance(tau)[0], throughput
                     )
-                if dr.hint(not in_froxels, mode="scalar"):
-                    throughput, scale = self.split_camera_segment(inscattered, tau, throughput, scale, sampler, at_eye)
+                throughput, scale = self.split_camera_segment(inscattered, tau, throughput, scale, sampler, at_eye)
             if dr.hint(inscattered, mode="scalar"):
                 surface_hit &= ~at_eye
-                if dr.hint(in_froxels, mode="scalar"):
-                    some, place = self.sample_froxel(nearest, slices, ray, near, stop, tau, u_flight, at_eye)
-                    seen += dr.select(some, mi.UInt32(1), mi.UInt32(0))
-                else:
-                    some, place, throughput = self.sample_camera_segment(
-                        ray, near, stop, tau, u_flight, throughput, sampler, at_eye
-                    )
+                some, place = self.sample_camera_segment(ray, near, stop, tau, u_flight, at_eye)
                 flight = dr.select(some, place, flight)
                 medium_scattered |= some
-            carries = dr.max(throughput) > 0.0  # what lost the play for the camera's segment ends here
+            carries = dr.max(throughput) > 0.0  # Russian roulette of the camera's segment ends the others here
             surface_hit, medium_scattered = surface_hit & carries, medium_scattered & carries
 
             # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
             # estimator LAMPS
-            if dr.hint(self.foggy and self.lights.count > 0 and self.truncation.scatterings > 0, mode="scalar"):
+            if dr.hint(self.foggy and asks.lights.count > 0 and self.truncation.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.truncation.scatterings
-                light, group = self.asks.along(
-                    ray, near, stop, throughput, sampler, lit, self.asks.known_along(ray, near, stop, sampler, lit)
+                light, group = asks.along(
+                    ray, near, stop, throughput, sampler, lit, asks.known_along(ray, near, stop, sampler, lit)
                 )
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered + 1, group)
 
@@ -344,7 +320,7 @@ class FogPath:
                 ended &= ~at_eye
 
             # ==== 7. Emission at the segment's end, weighed against the shadow ray of the vertex before
-            light, group = self.asks.emitted(
+            light, group = asks.emitted(
                 si,
                 ended,
                 surface_hit,
@@ -376,24 +352,24 @@ class FogPath:
 
             # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
             # gives the BSDF's value and its next direction)
-            row = self.asks.sky_row(si)
-            chosen = self.asks.own(vertex, row, smooth, medium_scattered, sampler)
+            row = asks.sky_row(si)
+            chosen = asks.own(vertex, row, smooth, medium_scattered, sampler)
             asked_about = si.to_local(chosen.direction)
-            if dr.hint(self.asks.importance is not None, mode="scalar"):
+            if dr.hint(asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
             blurred, spread = si, mi.Float(0.0)
-            if dr.hint(self.lights.count > 0, mode="scalar"):
+            if dr.hint(asks.lights.count > 0, mode="scalar"):
                 spread = blur(dr.sqrt(spread2), (first + begun) & (HALF_STRIDE - 1), self.most_spread)
                 blurred = seen_from(si, spread)
             reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
                 context, blurred, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
             gloss, picks = Gloss(), None
-            if dr.hint(self.asks.importance is not None, mode="scalar"):
+            if dr.hint(asks.importance is not None, mode="scalar"):
                 lit = smooth & ~at_eye if lit_apart else smooth
                 gloss = Gloss.of(si, reflected, pdf, lit)
-                picks = self.asks.known_at(si.p, gloss, sampler, lit)
-                chosen = self.asks.choose(vertex, chosen, gloss, picks, lit, sampler)
+                picks = asks.known_at(si.p, gloss, sampler, lit)
+                chosen = asks.choose(vertex, chosen, gloss, picks, lit, sampler)
                 answering = lit_from(si, chosen.place, chosen.alone, spread)
                 reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
@@ -401,46 +377,44 @@ class FogPath:
                 phase_value = medium.phase.value(dr.dot(ray.d, chosen.direction))
                 value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
                 pdf = dr.select(medium_scattered, phase_value, pdf)
-            if dr.hint(self.asks.at_surfaces or self.asks.importance is not None, mode="scalar"):
+            if dr.hint(asks.at_surfaces or asks.importance is not None, mode="scalar"):
                 weight = dr.select(chosen.alone, 1.0, mis_weight(chosen.pdf, pdf))
                 light = throughput * value * self.light_groups.light(chosen.power, chosen.group)
                 asked = chosen.asked & dr.any(light != 0.0)  # a light behind the surface is worth no ray
-                free, reach_light = self.asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, asked)
+                free, reach_light = asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, asked)
                 light = dr.select(free, light * (weight * reach_light), black)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, chosen.group)
 
             # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
-            if dr.hint(self.lights.count > 0 and self.asks.importance is None, mode="scalar"):
-                light, group = self.asks.at_surface(si, bsdf, reading, throughput, sampler, smooth, spread)
+            if dr.hint(asks.lights.count > 0 and asks.importance is None, mode="scalar"):
+                light, group = asks.at_surface(si, bsdf, reading, throughput, sampler, smooth, spread)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, group)
 
-            # ==== 11. The next direction: from the BSDF, or from the phase function and light guiding
+            # ==== 11. The next direction: from the BSDF, or from the phase function
             direction, next_pdf = si.to_world(bounce.wo), bounce.pdf
             next_delta = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             onward = dr.select(surface_hit, throughput * gain, throughput)
-            if dr.hint(self.control is not None, mode="scalar"):
+            if dr.hint(control is not None, mode="scalar"):
                 light = self.control_reflected(
                     si, bsdf, reading, bounce, vertex, direction, throughput, onward, surface_hit, smooth, next_delta
                 )
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
             throughput = onward
             passed = mi.Bool(False)  # a pane, as shadow rays do: the vertex before it chose the direction
-            if dr.hint(self.asks.panes is not None, mode="scalar"):
+            if dr.hint(asks.panes is not None, mode="scalar"):
                 straight = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Null)
-                passed = self.asks.panes.share(si.shape, straight) > 0.0
-            if dr.hint(self.asks.lit_faces is not None, mode="scalar"):
+                passed = asks.panes.share(si.shape, straight) > 0.0
+            if dr.hint(asks.lit_faces is not None, mode="scalar"):
                 prev_gloss = prev_gloss.where(passed, gloss)
                 prev_weighed = dr.select(passed, prev_weighed, dr.select(lit, picks.total, 0.0))
             next_without_nee = mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf, throughput = self.sample_phase(
-                    ray.d, vertex.p, throughput, scale, sampler, medium_scattered
-                )
+                wo, phase_pdf = medium.phase.sample(ray.d, sampler.next_2d(medium_scattered))
                 direction, next_pdf = (
                     dr.select(medium_scattered, wo, direction),
                     dr.select(medium_scattered, phase_pdf, next_pdf),
                 )
-                next_without_nee = medium_scattered & mi.Bool(not self.asks.in_fog)
+                next_without_nee = medium_scattered & mi.Bool(not asks.in_fog)
             prev_p, prev_pdf = dr.select(passed, prev_p, vertex.p), dr.select(passed, prev_pdf, next_pdf)
             prev_row, prev_delta = dr.select(passed, prev_row, row), dr.select(passed, prev_delta, next_delta)
             prev_without_nee = dr.select(passed, prev_without_nee, next_without_nee)
@@ -452,7 +426,7 @@ class FogPath:
 
             # ==== 12. Roulette
             scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
-            rr_prob = self.roulette(throughput, scale, depth, scattered, medium_scattered)
+            rr_prob = self.roulette(throughput, scale, depth, scattered, medium_scattered, control is not None)
             alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < rr_prob)
             alive &= medium_scattered | (bounces < self.truncation.bounces)
             throughput /= dr.maximum(rr_prob, 1e-8)
@@ -460,23 +434,19 @@ class FogPath:
             # ==== 13. The lane's next path where this one has ended, of its next task where this one has all of them
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
-            squares = [square + dr.select(over & finite, path * path, black) for square in squares]
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             done = over & (begun >= wanted)
-            tasks.deliver(task, done, [part for light in (*aovs, *squares, *sums) for part in light], [lost, seen])
-            aovs, squares, sums = (
-                [dr.select(done, black, total) for total in totals] for totals in (aovs, squares, sums)
-            )
+            tasks.deliver(task, done, [part for light in (*aovs, *sums) for part in light], [lost])
+            aovs, sums = ([dr.select(done, black, total) for total in totals] for totals in (aovs, sums))
             lost = dr.select(done, mi.UInt32(0), lost)
-            seen, begun = dr.select(done, mi.UInt32(0), seen), dr.select(done, mi.UInt32(0), begun)
+            begun = dr.select(done, mi.UInt32(0), begun)
             task = dr.select(done, tasks.after(task), task)
             again = over & tasks.there(task)
             next_pixel, next_first = tasks.of(task, done & again)
             pixel, first = dr.select(done, next_pixel, pixel), dr.select(done, next_first, first)
             sampler = sampler.restarted(again, Sobol(image_seed, pixel, first + begun))
-            corner, size, nearest = region(pixel)
-            view, view_weight = self.eye.ray(sampler, corner, again, size)
+            view, view_weight = self.eye.ray(sampler, self.eye.raster.corner(pixel), again)
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
             path = dr.select(over, black, path)
@@ -486,8 +456,7 @@ class FogPath:
             prev_delta, prev_without_nee = prev_delta | again, prev_without_nee & ~again
             active = alive | again
         colours = [bands.of(tasks.floats[low : low + bands.count]) for low in range(0, len(tasks.floats), bands.count)]
-        aovs, squares, sums = colours[:parts], colours[parts : parts + squared], colours[parts + squared :]
-        return Moments(tuple(aovs), tuple(sums), *tasks.counts, *squares)
+        return Moments(tuple(colours[:parts]), tuple(colours[parts:]), *tasks.counts)
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
@@ -525,8 +494,8 @@ class FogPath:
     def split_camera_segment(
         self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any
     ) -> tuple[Any, Any]:
-        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T; a faint one is played for,
-        and its weight is the new scale.
+        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T. A faint
+        one faces Russian roulette, and its weight is the new scale.
         """
         through, opaque = transmittance(tau)
         share = opaque if inscattered else through
@@ -534,40 +503,15 @@ class FogPath:
         share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
-    def sample_froxel(
-        self, nearest: Any, slices: float, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any
-    ) -> tuple[Any, Any]:
-        """(4) Whether a path begins in its froxel, unhidden, and the distance [m] at which it does: even in the share
-        of the ray that is scattered.
-        """
-        share = (nearest + u) / slices
-        return at_eye & (share < transmittance(tau)[1]), self.medium.sample_distance(
-            ray.o, ray.d, -dr.log(1.0 - share), near, stop
-        )
-
-    def sample_camera_segment(
-        self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, throughput: Any, sampler: Any, at_eye: Any
-    ) -> tuple[Any, Any, Any]:
+    def sample_camera_segment(self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any) -> tuple[Any, Any]:
         """(4) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
-        extinction, or guided to a lamp.
+        extinction.
         """
-        medium, opaque = self.medium, transmittance(tau)[1]
+        opaque = transmittance(tau)[1]
         some = at_eye & (opaque > 0.0)
         if self.truncation.scatterings == 0:
             some &= False
-        place = medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
-        if self.guide is not None:
-            guided = self.guide.distance(ray.o, ray.d, near, stop, sampler.next_1d(some), sampler.next_1d(some))
-            place = dr.select(sampler.next_1d(some) < GUIDE_PROBABILITY, guided, place)
-            plain = (
-                dr.exp(-medium.optical_depth_inside(ray.o, ray.d, near, place)) * medium.extinction(ray(place)) / opaque
-            )
-            mixed = (
-                GUIDE_PROBABILITY * self.guide.distance_density(ray.o, ray.d, near, stop, place)
-                + (1.0 - GUIDE_PROBABILITY) * plain
-            )
-            throughput = dr.select(some, throughput * plain / dr.maximum(mixed, 1e-30), throughput)
-        return some, place, throughput
+        return some, self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
 
     def control_reflected(
         self,
@@ -601,31 +545,14 @@ class FogPath:
             along, rest * control.radiance(vertex.p, direction, along), black
         )
 
-    def sample_phase(
-        self, forward: Any, place: Any, throughput: Any, scale: Any, sampler: Any, medium_scattered: Any
-    ) -> tuple[Any, Any, Any]:
-        """(11) A direction after a scattering, from the phase function or guided to a lamp, and the phase function's
-        density of it [1/sr].
-        """
-        medium = self.medium
-        wo, phase_pdf = medium.phase.sample(forward, sampler.next_2d(medium_scattered))
-        if self.guide is not None:
-            guiding = dr.select(dr.max(throughput) < GROWN * scale, GUIDE_DIRECTIONS, GUIDE_DIRECTIONS_GROWN)
-            guided = self.guide.direction(place, sampler.next_1d(medium_scattered), sampler.next_2d(medium_scattered))
-            wo = dr.select(sampler.next_1d(medium_scattered) < guiding, guided, wo)
-            phase_pdf = medium.phase.value(
-                dr.dot(forward, wo)
-            )  # also what it is weighed by against shadow rays, on both sides
-            mixed = guiding * self.guide.direction_density(place, wo) + (1.0 - guiding) * phase_pdf
-            throughput = dr.select(medium_scattered, throughput * phase_pdf / dr.maximum(mixed, 1e-30), throughput)
-        return wo, phase_pdf, throughput
-
-    def roulette(self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any) -> Any:
+    def roulette(
+        self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any, difference: bool
+    ) -> Any:
         """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a
-        difference.
+        `difference`.
         """
         rr_prob = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
-        if self.control is not None:
+        if difference:
             rr_prob *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_RR_PROB, 1.0)
         return rr_prob
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from synfog_usd.errors import ParameterError
 from synfog_usd.render import backend
-from synfog_usd.render.integrators.froxels import FroxelPath
 from synfog_usd.render.integrators.path import FogPath, Truncation
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
@@ -29,7 +28,6 @@ def make_tracer(
     loaded: MitsubaScene,
     *,
     with_slab: bool = False,
-    in_froxels: bool = False,
     scatterings: int | None = None,
     bounces: int | None = None,
     bands: int = RGB,
@@ -39,7 +37,6 @@ def make_tracer(
 
     Args:
         with_slab: sample only what differs from a plane-parallel slab, see `media.control_variate`.
-        in_froxels: take the airlight from a radiance cache, see `integrators.froxels`.
         scatterings, bounces: see `Truncation`; None is no limit.
         bands: what a path carries, see `spectra.bands`.
         regularize: see `FogPath`.
@@ -68,9 +65,8 @@ def make_tracer(
         lights = LightSampler(world, numbers, g)
         if not loaded.source.motion_of:  # else it knows where the lamps are at one moment
             loaded.light_samplers[g, carried.kinds] = lights
-    kind = FroxelPath if in_froxels else FogPath
     cut = Truncation(**limits)
-    return kind(
+    return FogPath(
         loaded,
         medium,
         lights=lights,

@@ -64,21 +64,16 @@ ROW = 16
 
 
 class Importance:
-    """All lights of a scene, a row each, or those alone that are brightest as seen from a place.
+    """All lights of a scene, a row each.
 
     Args:
         lights: the scene's.
         medium: the fog.
-        most: how many lights; all of them unless told.
-        eye: (3,) the place [m].
     """
 
-    def __init__(self, lights: LightSampler, medium: Medium, most: int | None = None, eye: Array | None = None) -> None:
+    def __init__(self, lights: LightSampler, medium: Medium) -> None:
         mi = backend.mitsuba()
         rows = summaries(lights.rows)
-        if most is not None and eye is not None and len(rows) > most:
-            apart = ((rows["position"] - eye) ** 2).sum(axis=1) + 25.0
-            rows = rows[np.sort(np.argsort(-rows["peak"] / apart, kind="stable")[:most])]
         angle = np.linspace(0.0, np.pi, 721)
         value = np.full_like(angle, 1.0 / (4.0 * np.pi))
         if medium.foggy:
@@ -127,16 +122,16 @@ class Importance:
         dimmed = dr.exp(-self.sigma_t * dr.minimum(away + along, 1e4))
         return peak * inverse * share * (self._sent(axis, x, table + self.spread, towards) + FLOOR) * dimmed
 
-    def at(self, index: Any, place: Any, response: Callable[[Any], Any], in_fog: Any = False) -> Any:
+    def at(self, index: Any, place: Any, response: Callable[[Any], Any]) -> Any:
         """Weight of a light for a point; `response` tells what a surface there makes of light from a direction towards
-        it.  With `in_fog` what the fog scatters out of the light's brightest parts counts too.
+        it.
         """
         light, peak, axis, table, x = self._row(index)
         between = place - light
         true = dr.maximum(dr.squared_norm(between), 1e-8)
         square, floored = dr.maximum(true, NEAR_M**2), dr.maximum(true, FLOOR_M**2)
         away = between * dr.rsqrt(true)
-        sent = self._sent(axis, x, table + dr.select(in_fog, self.spread, 0), away)
+        sent = self._sent(axis, x, table, away)
         return peak * dr.exp(-self.sigma_t * dr.sqrt(square)) * (sent / square + FLOOR / floored) * response(-away)
 
     @dr.syntax
@@ -157,11 +152,6 @@ class Importance:
         """Numbers of `ABREAST` lights from `index` on, and whether there are so many."""
         numbers = [index + step for step in range(ABREAST)]
         return [(dr.minimum(number, self.count - 1), number < self.count) for number in numbers]
-
-    def place(self, index: Any) -> Any:
-        """Where lights are [m]."""
-        one = dr.gather(backend.mitsuba().Vector4f, self.data, index * (ROW // 4))
-        return backend.mitsuba().Point3f(one[0], one[1], one[2])
 
     def _row(self, index: Any) -> tuple[Any, ...]:
         mi = backend.mitsuba()

@@ -18,8 +18,6 @@ from synfog_usd.render.dualbuffer import Error
 from synfog_usd.render.film.accumulator import (
     CHUNK,
     ESTIMATOR_COST,
-    INSCATTERED,
-    SURFACE,
     Accumulator,
     Integrator,
     accumulate_by_estimator,
@@ -151,21 +149,16 @@ def accumulate_to_target(
         share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
         budget = (target.samples - spent) * pixels
         rows = everywhere[short]
-        have = int(np.median(accumulated.estimators[SURFACE].counts.sum(axis=0)[rows]))
+        have = int(np.median(next(iter(accumulated.estimators.values())).counts.sum(axis=0)[rows]))
         count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
         if count == 0:
             break
         scale = (
             count
             * sum(ESTIMATOR_COST[part] for part in share)
-            / sum(accumulated.cost(part) * value for part, value in share.items())
+            / sum(ESTIMATOR_COST[part] * value for part, value in share.items())
         )
-        scales = {
-            part: scale
-            * (len(rows) / pixels if accumulated.radiance_cache is not None and part == INSCATTERED else 1.0)
-            for part in share
-        }
-        more = {part: max(CHUNK, round(value * scales[part] / CHUNK) * CHUNK) for part, value in share.items()}
+        more = {part: max(CHUNK, round(value * scale / CHUNK) * CHUNK) for part, value in share.items()}
         after = spent + count * len(rows) / pixels
         add_samples(
             accumulated, integrator, rows, more, seed, within(progress, spent / target.samples, after / target.samples)
