@@ -65,7 +65,7 @@ def _table(chart: Chart) -> None:
             f"{point.line:<{width}}{point.samples:>11}{point.seconds:>9.2f} "
             f"s{point.relative_rms:>11.2%}{point.noise_rms:>11.2%}{bias:>11}"
             f"{point.p95:>11.2%}{point.flip:>11.4f}{point.bias:>+11.3%}{point.bias_error:>11.3%}"
-            + (" <- planned" if point.planned else "")
+            + (" <- enough" if point.enough else "")
         )
     print(
         f"reference: {first.reference_model}, {first.reference_samples} samples, itself known to "

@@ -118,8 +118,8 @@ def bake(
         str,
         typer.Option(
             help=(
-                "How light is transported: slab, single, field, path, volpath ...; auto chooses by how much of the sky "
-                "the view sees, and for a loose --target-error by small trials."
+                "How light is transported: path, single, or Mitsuba's volpath and volpathmis; auto is path, or volpath "
+                "where path knows no such fog."
             )
         ),
     ] = "auto",
@@ -385,7 +385,7 @@ def chart(
         ),
     ] = None,
     target: Annotated[
-        float, typer.Option(help="Total error for which the planner is asked; its choice is ringed.")
+        float, typer.Option(help="Total error; the fewest samples of auto that reach it are ringed.")
     ] = 0.03,
     seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
     variant: options.Variant = "auto",

@@ -276,7 +276,7 @@ class _View:
         exposure: see `camera.meter`; None where the graph says it.
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
         luminance: of the small frame that was metered [cd m-2].
-        bands: see `planner.choose_bands`: chosen here for all fogs but coloured ones, since grey fog mixes light and
+        bands: see `choose_bands`: chosen here for all fogs but coloured ones, since grey fog mixes light and
             changes its colours little; None where they are given or too few paths would carry them.
         seen: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
@@ -377,8 +377,9 @@ def _bands(
     progress: Progress,
 ) -> tuple[int, str, dict[str, float]] | None:
     """See `_View`."""
-    from synfog_usd.render import backend, models, planner
+    from synfog_usd.render import backend, models
     from synfog_usd.render.shot import may_carry_bands
+    from synfog_usd.render.spectra.choose import choose_bands
 
     camera, able = loaded.source.camera, plan.model == models.AUTO or models.MODELS[plan.model].bands
     paths = camera.width_px * camera.height_px * plan.samples
@@ -386,7 +387,7 @@ def _bands(
         return None
     model, _ = models.choose(models.AUTO, loaded.source)
     target = _settings(plan, _shared(_noise(pixel), density) if pixel else None, density).target
-    return planner.choose_bands(loaded, model, target=target, seed=seed32(plan.seed, lighting), progress=progress)
+    return choose_bands(loaded, model, target=target, seed=seed32(plan.seed, lighting), progress=progress)
 
 
 @dataclass(frozen=True)
@@ -614,6 +615,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
+    pilot = {"bands": made.bands[2]} if made.bands else rendered.figures
     return {
         "lighting": shot.lighting,
         "fog": shot.fog,
@@ -626,7 +628,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
             "name": rendered.model,
             "bands": len(radiance.channels),
             "why": rendered.why + (f"; {made.bands[0]} bands: in clear air {made.bands[1]}" if made.bands else ""),
-            "pilot": _rounded({**rendered.figures, **({"bands": made.bands[2]} if made.bands else {})}),
+            **({"pilot": _rounded(pilot)} if pilot else {}),
         },
         "samples": float(f"{rendered.samples:.5g}"),
         "denoised": bool(rendered.radiance.provenance.get("denoised", False)),

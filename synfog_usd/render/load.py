@@ -64,7 +64,6 @@ class MitsubaScene:
         parts: key -> object, of all that `source` names but what stands inside of groups.
         spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
             `spectra.bsdfs`; made when it is first asked for.
-        open_to_sky: (width, height) [px] -> `planner.open_to_sky`, once it was asked for: it is the same in every fog.
         light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for;
             none where things move.
         met_by_guides: (width, height [px], rays of a pixel) -> what those of `denoise.guides` met, the last time.
@@ -81,7 +80,6 @@ class MitsubaScene:
     face_instances: FaceInstances
     parts: Mapping[str, Any] = field(default_factory=dict)
     spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
-    open_to_sky: dict[tuple[int, int], float] = field(default_factory=dict)
     light_samplers: dict[tuple[float, int], Any] = field(default_factory=dict)
     met_by_guides: dict[tuple[int, int, int], Any] = field(default_factory=dict)
 

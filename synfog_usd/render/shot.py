@@ -15,7 +15,7 @@ from synfog_usd import numbers, system
 from synfog_usd.errors import ParameterError
 from synfog_usd.image import Image, Quantity
 from synfog_usd.progress import Progress, silent, within
-from synfog_usd.render import backend, dualbuffer, models, moments, planner
+from synfog_usd.render import backend, dualbuffer, models, moments
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import (
@@ -38,15 +38,13 @@ from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached, times_needed
 from synfog_usd.render.spectra import bands as banding
+from synfog_usd.render.spectra.choose import choose_bands
 from synfog_usd.scene import Camera, SceneDict
 
 PROBE_PX = (64, 36)
 
-WORTH_A_PILOT = 1 << 19
-"""Paths of an image from which on it pays to try models on a small one first."""
-
-WORTH_A_BANDS_PILOT = 1 << 23
-"""The same for trying wavelength bands, which few scenes need and which want kernels of their own."""
+WORTH_TRYING_BANDS = 1 << 23
+"""Paths of an image from which on it pays to try wavelength bands on a small one, which want kernels of their own."""
 
 LARGE_ERROR = 0.25
 """Error of the median pixel after denoising from which on a warning is given."""
@@ -58,8 +56,8 @@ DENOISING = 5.0
 SEEN_FLOATS, CLEANING_FLOATS = 14, 36
 """What `Aovs`, and guides, luminances and the denoiser's own pictures take of a pixel, in units of 4 B."""
 
-CHOOSING = 0.02, 0.1
-"""Parts of the progress that choosing a model and choosing bands are given."""
+CHOOSING = 0.1
+"""Part of the progress that choosing bands is given."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class Rendered:
         model, why: which model it was, and why that one.
         relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
         warnings: what went wrong on the way, in words.
-        figures: what the pilots measured, see `planner.Choice` and `choose_bands`; empty where there were none.
+        figures: what `choose_bands` measured; empty where bands were given.
         samples: paths per pixel on average, as `Settings` means them.
         met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
             target.
@@ -116,10 +114,10 @@ class Settings:
             None.
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does
             not repeat byte for byte.
-        scatterings, bounces: limits of `path` and `path+slab`: how often the fog, and how often surfaces, may scatter a
+        scatterings, bounces: limits of `path`: how often the fog, and how often surfaces, may scatter a
             path; None is no limit.
-        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets the planner
-            choose.
+        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets
+            `choose_bands` choose.
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
         draft: denoise for a look alone, see `denoise.denoise_draft`.
@@ -270,34 +268,20 @@ def sample(
     target, began = settings.target, time.perf_counter()
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
-    pixels = width * height
     warnings = list[str]()
     if denoise and (problem := denoising.available()):
         warnings.append(f"not denoised, so it takes many more samples: {problem}")
         denoise = False
-    if (
-        model == models.AUTO
-        and bands in (None, numbers.RGB)
-        and pixels * samples >= WORTH_A_PILOT
-        and planner.candidates(scene)
-    ):
-        loaded = loaded or load(scene, size=size, boundaries=False, spectra=may_carry_bands(bands, pixels * samples))
-        choice = planner.choose(
-            loaded, target=target, seed=seed, denoised=denoise, progress=within(progress, 0.0, CHOOSING[0])
-        )
-        progress = within(progress, CHOOSING[0], 1.0)
-        model, why, figures = choice.model, choice.why, dict(choice.figures)
-    else:
-        model, why = models.choose(model, scene)
-    spectra = may_carry_bands(bands, pixels * samples)
+    model, why = models.choose(model, scene)
+    spectra = may_carry_bands(bands, width * height * samples)
     loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries, spectra=spectra)
     if bands is None:
         bands = numbers.RGB
         if models.MODELS[model].bands and spectra:
-            bands, because, figures["bands"] = planner.choose_bands(
-                loaded, model, target=target, seed=seed, progress=within(progress, 0.0, CHOOSING[1])
+            bands, because, figures["bands"] = choose_bands(
+                loaded, model, target=target, seed=seed, progress=within(progress, 0.0, CHOOSING)
             )
-            progress = within(progress, CHOOSING[1], 1.0)
+            progress = within(progress, CHOOSING, 1.0)
             why += f"; {bands} bands: {because}"
     make = functools.partial(
         models.make,
@@ -530,7 +514,7 @@ class _Cleaning:
 
 def may_carry_bands(bands: int | None, paths: int) -> bool:
     """Whether the paths of a picture may carry bands, or only R, G and B: as it is asked for, else as is chosen."""
-    return paths >= WORTH_A_BANDS_PILOT if bands is None else bands != numbers.RGB
+    return paths >= WORTH_TRYING_BANDS if bands is None else bands != numbers.RGB
 
 
 def load(

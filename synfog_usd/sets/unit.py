@@ -226,7 +226,7 @@ def _developments(
 
     By each pipeline after the first; and by those that are named so of the clear frame in fog by the atmospheric
     scattering model, L = J t + A (1 - t), with the exact transmittance t and an airlight A that is guessed from the
-    picture, see `render.integrators.asm`.
+    picture, see `fog.airlight`.
     """
     made = {}
     for path in found.pipelines:
@@ -248,8 +248,8 @@ def _radiance(folder: Path, shot: str) -> Image:
 def _guessed(folder: Path, shot: str) -> Image:
     """The clear frame in a fog whose airlight is guessed."""
     from synfog_usd import writers
+    from synfog_usd.fog.airlight import estimated_airlight
     from synfog_usd.image import Quantity
-    from synfog_usd.render.integrators.asm import estimated_airlight
 
     clear = _radiance(folder, CLEAR)
     layers = folder / shot / "layers.exr"

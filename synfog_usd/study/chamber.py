@@ -28,6 +28,7 @@ from synfog_usd import seeds
 from synfog_usd.arrays import Array, Flags, Indices
 from synfog_usd.benchmark import statistics
 from synfog_usd.errors import StageError
+from synfog_usd.fog.airlight import estimated_airlight
 from synfog_usd.fog.medium import FogMedium
 from synfog_usd.fog.phase import Phase
 from synfog_usd.progress import Progress, silent, within
@@ -43,7 +44,6 @@ from synfog_usd.render.film.accumulator import (
     new_accumulator,
     neyman_allocation,
 )
-from synfog_usd.render.integrators.asm import estimated_airlight
 from synfog_usd.render.sampling.sobol import RUN
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import Camera, Instance, SceneDict

@@ -50,12 +50,8 @@ REFERENCE_SHARE = 0.45
 """Of a time limit, what is kept for the reference."""
 LIMIT_S = 90.0
 """Time limit where neither it nor the samples are given."""
-PILOT_SAMPLES = 16
-MUST_GAIN = 1.5
-"""How much better than the first a later unbiased model of ours must be to make the reference: `path+slab` rests on a
-table, `path` on nothing. Without any it is volpath.  These models are also charted in bands and denoised, and the first
-with paths cut short.
-"""
+PROBE_SAMPLES = 16
+"""From which the cost of a reference is told, where its model is not in the sweep."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ class ChartPlan:
             time_limit goes.
         time_limit: seconds of rendering for a stage, beyond the first point of each line and without the making of
             kernels; None is LIMIT_S, or without end where samples are given.
-        target: total error for which the planner is asked.
+        target: total error; the fewest samples of `auto` that reach it are marked.
         seed: the same gives the same errors.
         variant: Mitsuba backend, see `render.backend.choose`.
         allow: folders outside the stage's own in which its files may lie.
@@ -130,7 +126,6 @@ class _Line:
     model: str
     setting: Setting
     levels: list[int]
-    must: tuple[int, ...] = ()
     runs: dict[int, list[Array]] = field(default_factory=dict)
     seconds: dict[int, list[float]] = field(default_factory=dict)
     first_call_s: float = math.nan
@@ -151,15 +146,12 @@ class _Line:
         return RUNS * (least[most] + max(slope, 0.1 * least[most] / most) * (self.levels[0] - most))
 
 
-def chart(
-    plan: ChartPlan, *, progress: Progress = silent, choice: tuple[str, int | None] | None = None, lenient: bool = False
-) -> Chart:
+def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False) -> Chart:
     """Measure the sweep of one shot and write its table, its drawings and its page.
 
     Args:
         plan: what to sweep; its stage is a file.
         progress: told what is being rendered and about how much is done.
-        choice: (model, samples or None) that a planner took; None asks `render.planner`, where there is one.
         lenient: whether a model that was asked for and does not hold is left out with a note instead of an error.
 
     Raises:
@@ -171,8 +163,6 @@ def chart(
     scene, shot = _scene(plan)
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     renders = _Renders(scene, plan.size)
-    if choice is None and (model_planned := planned(scene, plan.target, max(plan.samples or SAMPLES), plan.seed)):
-        choice = (model_planned, None)
     notes: list[str] = []
     holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
     wanted = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
@@ -182,7 +172,7 @@ def chart(
         if name not in wanted
     ]
     asked = list(dict.fromkeys(models.choose(name, scene)[0] for name in wanted))
-    sweep = _lines(plan, asked, renders, choice, notes)
+    sweep = _lines(plan, asked, renders, notes)
     limit = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
     spent, began = 0.0, time.perf_counter()
     paths, done = RUNS * sum(sum(line.levels) for line in sweep), 0
@@ -210,9 +200,9 @@ def chart(
     while waiting := [line for line in sweep if line.levels]:
         line = min(waiting, key=_Line.estimate)
         samples = line.levels[0]
-        if line.runs and samples not in line.must and spent + line.estimate() > (1.0 - REFERENCE_SHARE) * limit:
+        if line.runs and spent + line.estimate() > (1.0 - REFERENCE_SHARE) * limit:
             notes.append(f"{line.name}: {', '.join(map(str, line.levels))} samples left out for time")
-            line.levels = [level for level in line.levels if level in line.must]
+            line.levels = []
             continue
         line.levels.pop(0)
         try:
@@ -241,9 +231,7 @@ def chart(
             line.first_call_s = results[0][1]
         spent += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
         if all(np.array_equal(rgb, line.runs[samples][0]) for rgb in line.runs[samples]):
-            line.levels = [
-                level for level in line.levels if level in line.must
-            ]  # no seed in it: more samples are the same picture
+            line.levels = []  # no seed in it: more samples are the same picture
     sweep = [line for line in sweep if line.runs]
     if not sweep:
         raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
@@ -252,13 +240,18 @@ def chart(
         Setting(bands=max(plan.bands)) if plan.bands else PLAIN
     )  # what R, G and B are short of is then seen as their bias
     carried = {name: finest if name in models.ours_unbiased() else PLAIN for name in models.MODELS}
-    model, seconds_each = _reference_model(
-        scene, sweep, lambda name, run: picture(name, carried[name], PILOT_SAMPLES, run, f"pilot of {name}")
-    )
-    most = max(max(line.runs) for line in sweep if line.model == model or model not in {other.model for other in sweep})
+    model = next((name for name in models.ours_unbiased() if name in holding), "volpath")
+    same = [line for line in sweep if line.model == model]
+    most = max(max(line.runs) for line in same or sweep)
     reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
     if plan.reference_samples is None and math.isfinite(limit):
-        affordable = int(max(limit - spent, REFERENCE_SHARE * limit) / seconds_each)
+        plain = next((line for line in same if line.setting == PLAIN), None)
+        if plain:
+            each = min(plain.seconds[max(plain.runs)]) / max(plain.runs)
+        else:
+            probes = [picture(model, carried[model], PROBE_SAMPLES, run, f"probe of {model}")[1] for run in range(2)]
+            each = probes[-1] / PROBE_SAMPLES
+        affordable = int(max(limit - spent, REFERENCE_SHARE * limit) / each)
         reference_samples = max(min(affordable, 64 * most), 2 * most, 2 * PARTS)
     shares = [reference_samples // PARTS + (index < reference_samples % PARTS) for index in range(PARTS)]
 
@@ -271,7 +264,7 @@ def chart(
     ]
     reference = accuracy.combine(parts, shares, model)
 
-    points = _points(sweep, reference, plan.size, chosen.variant, choice, plan.target)
+    points = _points(sweep, reference, plan.size, chosen.variant, models.choose(models.AUTO, scene)[0], plan.target)
     pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in sweep}
     made = Chart(f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}", points, reference, pictures, notes)
     _write(made, plan.out)
@@ -355,28 +348,10 @@ def machine() -> str:
     return f"{platform.machine()}, {cores} core{'s' if cores > 1 else ''}"
 
 
-def planned(scene: SceneDict, target: float, samples: int, seed: int) -> str | None:
-    """The model that the planner would take for this shot to reach `target`; None where there is no planner."""
-    from synfog_usd.render import planner, shot
-    from synfog_usd.render.sampling.adaptive import Target
-
-    if not planner.candidates(scene):
-        return None
-    wanted = Target(relative=target, samples=samples)
-    return planner.choose(
-        shot.load(scene, boundaries=False), target=wanted, seed=seed32(seed, "chart", "planner")
-    ).model
-
-
-def ring(points: Sequence[Point], choice: tuple[str, int | None], target: float) -> int | None:
-    """Which point is the planner's: of its model at its samples, or where it left those open at the fewest that reach
-    `target`, else at the most.
-    """
-    mine = [index for index, point in enumerate(points) if point.line == choice[0]]
-    if choice[1] is not None:
-        return next((index for index in mine if points[index].samples == choice[1]), None)
-    mine.sort(key=lambda index: points[index].samples)
-    return next((index for index in mine if points[index].relative_rms <= target), mine[-1] if mine else None)
+def enough(points: Sequence[Point], line: str, target: float) -> int | None:
+    """Which point of a line has the fewest samples that reach a total error; None where none does."""
+    reached = [index for index, point in enumerate(points) if point.line == line and point.relative_rms <= target]
+    return min(reached, key=lambda index: points[index].samples, default=None)
 
 
 class _Renders:
@@ -432,9 +407,7 @@ def _arguments(setting: Setting) -> dict[str, Any]:
     }
 
 
-def _lines(
-    plan: ChartPlan, asked: Sequence[str], renders: _Renders, choice: tuple[str, int | None] | None, notes: list[str]
-) -> list[_Line]:
+def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, notes: list[str]) -> list[_Line]:
     """The sweep: each model as it is, then in its settings."""
     from synfog_usd.render import models
 
@@ -448,46 +421,9 @@ def _lines(
             if lacking := renders.lacks(setting):
                 notes.append(f"{line_name(model, setting)}: left out, {lacking}")
                 continue
-            must = (choice[1],) if choice and choice[1] and choice[0] == model and setting == PLAIN else ()
-            levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES)), *must})
-            found.append(_Line(model, setting, levels, must))
+            levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES))})
+            found.append(_Line(model, setting, levels))
     return found
-
-
-def _reference_model(
-    scene: SceneDict, sweep: Sequence[_Line], pilot: Callable[[str, int], tuple[Array, float]]
-) -> tuple[str, float]:
-    """The unbiased model with the least relative variance times seconds, and its seconds per path and pixel."""
-    from synfog_usd.render import models
-
-    candidates = [name for name in models.ours_unbiased() if not models.MODELS[name].refuses(scene)] or ["volpath"]
-    costs = {}
-    for name in candidates:
-        line = next((line for line in sweep if line.model == name and line.setting == PLAIN), None)
-        if line is not None:
-            samples = max(line.runs)
-            runs, seconds = line.runs[samples], min(line.seconds[samples])
-        else:
-            try:
-                results = [pilot(name, run) for run in range(RUNS)]
-            except (RuntimeError, ValueError, ParameterError):
-                continue
-            samples, runs, seconds = (
-                PILOT_SAMPLES,
-                [rgb for rgb, _ in results],
-                min(elapsed for _, elapsed in results[1:]),
-            )
-        bright = np.stack([accuracy.luminance(rgb) for rgb in runs])
-        scale = np.hypot(bright.mean(axis=0), accuracy.FLOOR * bright.mean())
-        costs[name] = (
-            float((bright.var(axis=0, ddof=1) / np.maximum(scale, 1e-30) ** 2).mean()) * seconds,
-            seconds / samples,
-        )
-    best = next(iter(costs))
-    for name, (cost, _) in costs.items():
-        if cost * MUST_GAIN < costs[best][0]:
-            best = name
-    return best, costs[best][1]
 
 
 def _points(
@@ -495,7 +431,7 @@ def _points(
     reference: Reference,
     size: tuple[int, int],
     variant: str,
-    choice: tuple[str, int | None] | None,
+    auto: str,
     target: float,
 ) -> list[Point]:
     from synfog_usd.render.models import MODELS
@@ -529,7 +465,7 @@ def _points(
                     bias_error=errors.bias_error,
                     mean_nits=float(np.mean(bright)),
                     on_front=False,
-                    planned=False,
+                    enough=False,
                     reference_rms=reference.rms,
                     reference_flip=reference.flip,
                     reference_model=reference.model,
@@ -541,8 +477,8 @@ def _points(
                 )
             )
     kept = set(front([(point.seconds, max(point.relative_rms, reference.rms)) for point in points]))
-    ringed = ring(points, choice, target) if choice else None
-    return [replace(point, on_front=index in kept, planned=index == ringed) for index, point in enumerate(points)]
+    ringed = enough(points, auto, target)
+    return [replace(point, on_front=index in kept, enough=index == ringed) for index, point in enumerate(points)]
 
 
 def _write(made: Chart, out: Path) -> None:

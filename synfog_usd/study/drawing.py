@@ -16,16 +16,9 @@ from synfog_usd.study.points import Point, front, lines
 INK, FAINT, GRID, PAPER = "#22262a", "#666b70", "#dcdfe2", "#ffffff"
 LOOKS = {
     "path": ("#0b5fa5", "o"),
-    "path+slab": ("#2492d8", "s"),
     "volpath": ("#c1440e", "^"),
     "volpathmis": ("#c98100", "v"),
-    "slab": ("#12805c", "D"),
-    "field": ("#00868f", "<"),
-    "field+slab": ("#3fa7ad", ">"),
     "single": ("#7d8a00", "P"),
-    "asm": ("#7a4fa3", "X"),
-    "asm_estimated": ("#b0579e", "p"),
-    "glow": ("#8c6d5a", "h"),
 }
 """Model -> colour and marker: blue what is unbiased, orange the peers, others what leaves something out."""
 DARK = {
@@ -34,16 +27,9 @@ DARK = {
     GRID: "#3a3f44",
     PAPER: "#16191c",
     "#0b5fa5": "#5aa9ec",
-    "#2492d8": "#8fd0ff",
     "#c1440e": "#ff8a5c",
     "#c98100": "#f2b33d",
-    "#12805c": "#4fc79c",
-    "#00868f": "#45c3cc",
-    "#3fa7ad": "#86dbe0",
     "#7d8a00": "#c3d04a",
-    "#7a4fa3": "#b795dd",
-    "#b0579e": "#e08fcf",
-    "#8c6d5a": "#c9a48d",
 }
 """What each colour becomes on a dark page."""
 OTHER = (("#5f6870", "*"), ("#3d4a99", "<"), ("#99693d", ">"))
@@ -86,7 +72,7 @@ def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
             axes.plot([p.seconds for p in line], [p.relative_rms for p in line], dash, color=colour, lw=1.7, zorder=3)
             for point in line:
                 _marker(axes, point, colour, marker, hollow=dash != "-")
-        chosen = [point for point in points if point.planned]
+        chosen = [point for point in points if point.enough]
         if chosen:
             axes.plot(
                 [p.seconds for p in chosen],
@@ -97,7 +83,7 @@ def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
                 mec=INK,
                 mew=1.6,
                 zorder=6,
-                label="planner's choice",
+                label="enough for the error asked for",
             )
         axes.set(
             xlabel="seconds for one render, scene loaded, kernel made before",
@@ -173,7 +159,7 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
                     mfc=fill,
                     zorder=3,
                 )
-            chosen = [p for p in points if p.planned]
+            chosen = [p for p in points if p.enough]
             axes.plot(
                 [p.seconds for p in chosen],
                 [p.relative_rms for p in chosen],
@@ -208,8 +194,10 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
             )
         handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
         handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
-        if any(point.planned for point in everything):
-            handles.append(Line2D([], [], color=INK, marker="o", ms=10, mfc="none", ls="", label="planner's choice"))
+        if any(point.enough for point in everything):
+            handles.append(
+                Line2D([], [], color=INK, marker="o", ms=10, mfc="none", ls="", label="enough for the error asked for")
+            )
         figure.legend(
             handles=handles,
             loc="outside upper center",
@@ -381,7 +369,7 @@ def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tu
     places = {id(point): to_pixels((point.seconds, point.relative_rms)) for line in by_line.values() for point in line}
     taken: list[tuple[float, float, float, float]] = []
     for point in (point for line in by_line.values() for point in line):
-        reach = (10.0 if point.planned else 5.0) * unit
+        reach = (10.0 if point.enough else 5.0) * unit
         x, y = places[id(point)]
         taken.append((x - reach, y - reach, x + reach, y + reach))
     strokes: list[tuple[float, float]] = []

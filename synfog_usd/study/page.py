@@ -224,7 +224,7 @@ def _numbers(points: Sequence[Point]) -> str:
         "std. err.",
     )
     body = "".join(
-        f"<tr{' class=front' if p.on_front else ''}><td>{_key(p)}{html.escape(p.line)}{' (planned)' if p.planned else ''}</td>"  # noqa: E501
+        f"<tr{' class=front' if p.on_front else ''}><td>{_key(p)}{html.escape(p.line)}{' (enough)' if p.enough else ''}</td>"  # noqa: E501
         f"<td>{p.samples}</td><td>{_time(p.seconds)}</td><td>{_time(p.first_call_s)}</td><td>{percent(p.relative_rms)}</td><td>{percent(p.noise_rms)}</td>"
         f"<td>{percent(p.bias_rms) if p.bias_is_seen else '&lt; ' + percent(p.bias_limit)}</td><td>{percent(p.p95)}</td>"  # noqa: E501
         f"<td>{'' if math.isnan(p.flip) else f'{p.flip:.3f}'}</td><td>{100 * p.bias:+.2g} "

@@ -68,7 +68,7 @@ class Point:
         bias, bias_error: difference of the means over the reference's, and its standard error.
         mean_nits: mean luminance of the renders.
         on_front: whether no point is both faster and closer.
-        planned: whether the planner chose it.
+        enough: whether it is the point of `auto` with the fewest samples that reach the error asked for.
         reference_rms, reference_flip, reference_model, reference_samples: see `accuracy.Reference`.
         width, height: of the picture in pixels.
         variant, machine: where it ran.
@@ -95,7 +95,7 @@ class Point:
     bias_error: float
     mean_nits: float
     on_front: bool
-    planned: bool
+    enough: bool
     reference_rms: float
     reference_flip: float
     reference_model: str
@@ -207,7 +207,7 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
             row |= {f"{name}_seconds": found.seconds if found else "", f"{name}_beyond": found.beyond if found else ""}
         for name, found in (("best", best), ("unbiased", unbiased)):
             row[f"{name}_speedup"] = peer.seconds / found.seconds if peer and found else ""
-        row |= {"planned": next((f"{point.line}, {point.samples}" for point in points if point.planned), "")}
+        row |= {"enough": next((f"{point.line}, {point.samples}" for point in points if point.enough), "")}
         row |= {
             "reference_model": first.reference_model,
             "reference_samples": first.reference_samples,

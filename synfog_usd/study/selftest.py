@@ -134,9 +134,8 @@ def measure(case: Case, known: Known, model: str) -> Result:
             return Result(case.name, model, REFUSED, counted, why=problem)
         first = _render(known.scene, model, samples, case.bands, 0)
         second = None
-        if known.other is not None:  # clear air is beyond a model that wants a slab: `path` is exact there
-            judge = "path" if not known.other.fog and models.MODELS[model].refuses(known.other) else model
-            second = _render(known.other, judge, samples, case.bands, SEEDS)
+        if known.other is not None:
+            second = _render(known.other, model, samples, case.bands, SEEDS)
     except SynfogError as error:
         return Result(case.name, model, REFUSED, counted, why=str(error))
     except Exception as error:  # whatever a model of a later day may raise belongs in the table

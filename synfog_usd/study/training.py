@@ -118,7 +118,7 @@ def foggy_of(pair: TrainingPair) -> FloatArray:
         return filter_planes(pair.foggy.files["raw.dng"])
     if not pair.kind.startswith(f"{ASM_SRGB}."):
         return shown(pair.foggy.screen)
-    from synfog_usd.render.integrators.asm import estimated_airlight
+    from synfog_usd.fog.airlight import estimated_airlight
 
     clear, t = shown(pair.clear).transpose(1, 2, 0), pair.foggy.transmittance()[:, :, None]
     mixed = clear * t + estimated_airlight(clear, t) * (1.0 - t)

@@ -1,6 +1,6 @@
 """Who agrees with whom: our fog beside closed forms of other people, and our foggy streets beside Blender Cycles'.
 
-    python tests/bench/agreement.py closed                    # two-stream, diffusion, the glow of Narasimhan and Nayar
+    python tests/bench/agreement.py closed                    # two-stream, diffusion
     python tests/bench/agreement.py cycles --bpy BLENDER_ENV/bin/python -o out/agreement [--only crossroads]
     python tests/bench/agreement.py fade --set out/set        # needs fade-python
 
@@ -27,13 +27,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from cycles_scene import export, from_stage
-from numpy.polynomial import legendre
 from scipy import stats
 from streets import ROOT, STREETS, matt, scene_of
 
 from synfog_usd.fog import FogMedium
-from synfog_usd.fog.glow import glow_table
-from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.fog.slab import solve
 from synfog_usd.render import models, shot
 from synfog_usd.scene import SceneDict
@@ -150,35 +147,14 @@ def transmitted(optical_depth: float, g: float) -> dict[str, float]:
     }
 
 
-def narasimhan_nayar(optical_distance: float, q: float, cosine: Array, orders: int = 400) -> Array:
-    """Their glow of a point lamp, sum of (g_m + g_m+1) P_m, g_m = exp(-beta_m T - alpha_m log T), over its net flux.
-
-    With alpha_m = m + 1, beta_m = (2 m + 1) / m (1 - q^(m - 1)), g_0 = 0; T > 1.
-    Source: Narasimhan and Nayar, "Shedding Light on the Weather", CVPR 2003.
-    """
-    m = np.arange(1.0, orders + 2.0)
-    g = np.concatenate([[0.0], np.exp(-(2 * m + 1) / m * (1 - q ** (m - 1)) * optical_distance)])
-    g[1:] *= optical_distance ** -(m + 1.0)
-    terms = g[:orders] + g[1 : orders + 1]
-    return np.asarray(legendre.legval(cosine, terms) / (4.0 * np.pi / 3.0 * terms[1]))
-
-
 def closed() -> None:
-    """Two tables."""
+    """A table."""
     print("| g | optical depth | ours | diffusion | Eddington | quadrature |\n|---|---|---|---|---|---|")
     for g in (0.0, 0.87):
         for depth in (1.2, 3.0, 10.0, 30.0, 100.0):
             row = transmitted(depth, g)
             others = " | ".join(f"{value / row['ours'] - 1.0:+.3%}" for name, value in row.items() if name != "ours")
             print(f"| {g:g} | {depth:g} | {row['ours']:.5f} | {others} |")
-    degrees = np.array([1.0, 5.0, 20.0, 60.0, 120.0])
-    angles = np.radians(degrees)
-    table = glow_table(HenyeyGreenstein(0.87))
-    print(f"\n| optical distance | {' | '.join(f'{angle:g} degrees' for angle in degrees)} |\n|{'---|' * 6}")
-    for distance in (1.2, 2.0, 4.0, 8.0, 20.0):
-        ours = table.radiance(np.full(angles.shape, distance), angles) * distance**2  # over the lamp's flux there
-        ratio = narasimhan_nayar(distance, 0.87, np.cos(angles)) / ours
-        print(f"| {distance:g} | {' | '.join(f'{value:.2g}' for value in ratio)} |")
 
 
 def seen_by_fade(folder: Path, pipeline: str) -> None:

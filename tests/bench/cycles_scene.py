@@ -7,7 +7,7 @@ errors can be compared.
 
     python tests/bench/cycles_scene.py export stages/bench/canyon.usda out/canyon --fog mor150 --size 80x45
     python tests/bench/cycles_scene.py agree  out/canyon out/canyon_cycles.npz --samples 4096
-    python tests/bench/cycles_scene.py time   out/canyon out/canyon_cycles.npz --model field --samples 64
+    python tests/bench/cycles_scene.py time   out/canyon out/canyon_cycles.npz --model path --samples 64
 
 What the files hold: lengths in metres, Z up; triangles with one colour each; radiance
 in nits, intensities in candela, linear Rec.709.

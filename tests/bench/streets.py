@@ -243,7 +243,7 @@ def main() -> None:
     parser.add_argument("peer", choices=("volpath", "cycles", "denoised"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
     parser.add_argument("--only", default="", help="part of the streets' names")
-    parser.add_argument("--models", default="path,field")
+    parser.add_argument("--models", default="path")
     parser.add_argument("--size", default="96x54")
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=6)

@@ -73,38 +73,28 @@ def trimmed(square):
     return np.sort(square)[: int(0.99 * len(square))].mean()
 
 
-def ratios(name, ours, samples, *, reduce, truth_model, truth_samples):
-    """Efficiency of each of our models over the better peer's."""
+def ratio(name, samples, *, reduce, truth_samples):
+    """Efficiency of `path` over that of the better peer."""
     world = scene(name)
-    truth = reference(world, truth_model, truth_samples)
+    truth = reference(world, "path", truth_samples)
     found = {}
-    for model, count in {**dict.fromkeys(ours, samples), **PEERS}.items():
+    for model, count in {"path": samples, **PEERS}.items():
         square, seconds = errors(world, model, count, truth)
         found[model] = 1.0 / (reduce(square) * seconds)
     best = max(found[peer] for peer in PEERS)
-    print(
-        f"\n{name}, {reduce.__name__}: " + ", ".join(f"{model} {found[model] / best:.1f} x" for model in ours),
-        {key: f"{value:.4g}" for key, value in found.items()},
-    )
-    return [found[model] / best for model in ours]
-
-
-@pytest.mark.parametrize("reduce, wanted", [(np.median, 100.0), (np.mean, 20.0)], ids=["median pixel", "all pixels"])
-def test_overcast_street(reduce, wanted):
-    """Where most of what is seen is fog, ground and sky; `field+slab`'s bias counts as error."""
-    ours = ("field+slab", "path+slab")
-    assert ratios("overcast_street", ours, 256, reduce=reduce, truth_model="path+slab", truth_samples=8192)[0] >= wanted
+    print(f"\n{name}, {reduce.__name__}: {found['path'] / best:.1f} x", found)
+    return found["path"] / best
 
 
 def test_canyon():
-    """`path`, without bias, between houses, over all pixels."""
-    assert ratios("canyon", ("path", "field"), 256, reduce=np.mean, truth_model="path", truth_samples=8192)[0] >= 6.0
+    """Between houses, over all pixels."""
+    assert ratio("canyon", 256, reduce=np.mean, truth_samples=8192) >= 6.0
 
 
-@pytest.mark.parametrize("name", ["street_lamps", "headlights"])
-def test_night(name):
-    """By night, the worst hundredth of the pixels left out; `field`'s bias counts as error."""
-    assert ratios(name, ("field", "path"), 256, reduce=trimmed, truth_model="path", truth_samples=16384)[0] >= 10.0
+@pytest.mark.parametrize("name, wanted", [("street_lamps", 4.0), ("headlights", 8.0)])
+def test_night(name, wanted):
+    """By night, the worst hundredth of the pixels left out."""
+    assert ratio(name, 256, reduce=trimmed, truth_samples=16384) >= wanted
 
 
 @pytest.mark.parametrize("name", ["canyon", "street_lamps", "headlights"])
@@ -158,29 +148,6 @@ def test_denoised(name):
         f"{samples} samples: {same / seconds:.1f} x"
     )
     assert same >= 10.0 * seconds
-
-
-@pytest.mark.xfail(
-    reason=(
-        "missed: `slab` has no shade of trees in the fog, 5 % too bright; `field+slab` has no bias that is seen, and "
-        "the noise of its surfaces"
-    )
-)
-def test_slab_in_overcast_scenes():
-    """Time to one's own total error over all pixels, and the bias of the mean: 500 times and half a percent are wanted
-    of `slab` or of `field+slab`.
-    """
-    world = scene("overcast_street")
-    truth = reference(world, "path+slab", 8192)
-    theirs = {model: errors(world, model, count, truth) for model, count in PEERS.items()}
-    fits = []
-    for model, samples in (("slab", 64), ("field+slab", 64)):
-        square, seconds = errors(world, model, samples, truth)
-        bias = abs(luminance(Renderer(world, model).render(2048, 5)).mean() / truth[0].mean() - 1.0)
-        gain = min(spent * error.mean() for error, spent in theirs.values()) / (square.mean() * seconds)
-        print(f"\n{model}: RMS {np.sqrt(square.mean()):.3g} in {seconds:.3f} s, bias {bias:.2%}, {gain:.0f} x")
-        fits.append(gain >= 500.0 and bias <= 0.005)
-    assert any(fits)
 
 
 def test_memory_of_a_large_frame():

@@ -190,7 +190,7 @@ def test_a_picture_is_drawn_by_those_rays():
     assert clear.radiance.provenance["fisheye_fov_x_deg"] == 200.0
 
 
-@pytest.mark.parametrize("model", ["field", "volpath"])
+@pytest.mark.parametrize("model", ["path", "volpath"])
 def test_fog_is_the_same_behind_it_by_another_model(model):
     """The furnace: in fog that takes no light a sky of 1 is 1 everywhere; volpath's mean of 3072 paths is known to
     0.006.
@@ -198,7 +198,7 @@ def test_fog_is_the_same_behind_it_by_another_model(model):
     source = seen_by(scene(sky(1.0), [uniform_fog(60.0)], width_px=8, height_px=6))
     found = render(source, model=model, samples=64, seed=2, denoise=False).radiance.pixels
     assert found.mean() == pytest.approx(1.0, abs=0.02)
-    np.testing.assert_allclose(found, 1.0, atol=0.02 if model == "field" else 0.2)
+    np.testing.assert_allclose(found, 1.0, atol=0.2)
 
 
 def picture(falloff, lens=F_THETA, **more):

@@ -428,7 +428,7 @@ def test_bands_are_chosen_once_a_lighting_for_its_grey_fogs(tmp_path, monkeypatc
     """In clear air, whatever else is baked or was finished before; haze that is not grey is looked at by itself."""
     from synfog_usd.render import shot
 
-    monkeypatch.setattr(shot, "WORTH_A_BANDS_PILOT", 0)
+    monkeypatch.setattr(shot, "WORTH_TRYING_BANDS", 0)
     hazy, rows = tmp_path / "hazy.usda", {}
     thin = "float synfog:fog:mor = 600"
     hazy.write_text(street(lamp=True).replace(thin, f"{thin}\n                float synfog:fog:angstrom = 1.3"))

@@ -65,7 +65,6 @@ def test_an_offset_moves_the_window(shift, column):
     [
         ("path", 64),
         pytest.param("volpath", 640, marks=pytest.mark.slow),
-        pytest.param("field", 640, marks=pytest.mark.physics),
     ],
 )
 def test_every_ray_goes_equally_far_through_fog(model, samples):

@@ -147,8 +147,8 @@ def test_the_guessed_fog_is_the_models_formula(whole, tmp_path):
     import numpy as np
 
     from synfog_usd import writers
+    from synfog_usd.fog.airlight import estimated_airlight
     from synfog_usd.image import Quantity
-    from synfog_usd.render.integrators.asm import estimated_airlight
 
     out, _, _ = whole
     guessed = next(one for one in index.pictures(out) if one.pipeline == "asm_estimated.noise_free")

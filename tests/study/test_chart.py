@@ -12,7 +12,7 @@ from support.stages import street
 from synfog_usd.seeds import stream
 from synfog_usd.study import page
 from synfog_usd.study.accuracy import combine, compare, flip
-from synfog_usd.study.chart import ring
+from synfog_usd.study.chart import enough
 from synfog_usd.study.drawing import draw_chart, draw_suite, themed
 from synfog_usd.study.pages.report import BEGIN, END, report
 from synfog_usd.study.points import Point, front, price, read, summary, table
@@ -202,7 +202,7 @@ def point(model, samples, seconds, error, *, bias=0.0, reference_rms=0.01, **mor
     )
     row |= dict(
         on_front=False,
-        planned=False,
+        enough=False,
         reference_rms=reference_rms,
         reference_flip=0.01,
         reference_model="path",
@@ -216,8 +216,8 @@ def points():
     rows = [("path", 4, 0.5, 0.1), ("path", 16, 1.1, 0.05), ("volpath", 4, 2.0, 0.08), ("volpath", 16, 7.0, 0.0)]
     return [
         *(point(*row) for row in rows),
-        point("slab", 4, 0.3, 0.02, bias=0.2),
-        point("slab", 16, 0.5, 0.01, bias=0.2),
+        point("single", 4, 0.3, 0.02, bias=0.2),
+        point("single", 16, 0.5, 0.01, bias=0.2),
     ]
 
 
@@ -240,7 +240,7 @@ def test_price_of_an_error_follows_the_square_root_and_ends_at_the_bias():
     found = price(line, 0.01)
     assert (found.samples, found.seconds, found.beyond) == pytest.approx((10000, 100.1, 10000 / 64))
     assert price(line, 2.0).seconds == pytest.approx(0.14)  # no less than was measured
-    biased = [point("slab", n, 0.1 + 0.01 * n, 1 / np.sqrt(n), bias=0.12) for n in (4, 16, 64)]
+    biased = [point("single", n, 0.1 + 0.01 * n, 1 / np.sqrt(n), bias=0.12) for n in (4, 16, 64)]
     assert price(biased, 0.1) is None
     assert price(biased, 0.13).samples == pytest.approx(1 / (0.13**2 - 0.12**2))
 
@@ -249,20 +249,15 @@ def test_a_bias_that_was_not_looked_for_is_not_taken_for_none():
     """A model that leaves something out, with no bias seen: what two standard errors leave room for is held against
     it.
     """
-    line = [point("slab", 4, 0.3, 0.001, unbiased=False, bias_limit=0.05)]
+    line = [point("single", 4, 0.3, 0.001, unbiased=False, bias_limit=0.05)]
     assert price(line, 0.03) is None and price(line, 0.06) is not None
 
 
-def test_ring_is_where_the_planner_would_stop():
-    """At its samples where it names them; else at the fewest that reach the target, or at the most where none do."""
+def test_enough_are_the_fewest_samples_that_reach_the_error():
+    """Of one line alone; none where its error is larger at all of them."""
     rows = points()
-    assert ring(rows, ("path", 4), 0.03) == 0 and ring(rows, ("path", 5), 0.03) is None
-    assert (
-        ring(rows, ("path", None), 0.06) == 1
-        and ring(rows, ("path", None), 0.2) == 0
-        and ring(rows, ("path", None), 0.001) == 1
-    )
-    assert ring(rows, ("glow", None), 0.1) is None
+    assert enough(rows, "path", 0.06) == 1 and enough(rows, "path", 0.2) == 0
+    assert enough(rows, "path", 0.001) is None and enough(rows, "volpathmis", 0.1) is None
 
 
 def test_summary_names_the_fastest_and_the_best_peer():
@@ -330,13 +325,13 @@ def test_page_asks_nobody_for_anything():
     """Every picture is within the file; the drawing takes its colours from the page's light or dark."""
     rgb = np.repeat(truth()[::5, ::5, None], 3, axis=2)
     known = combine([rgb, 1.1 * rgb], [8, 8], "path")
-    by_line = {"path": points()[:2], "slab": points()[4:]}
+    by_line = {"path": points()[:2], "single": points()[4:]}
     text = page.page(
         "a <stage>",
         draw_chart(points(), title="a")[0].decode(),
         by_line,
         known,
-        {"path": (16, rgb), "slab": (16, rgb * 0.8)},
+        {"path": (16, rgb), "single": (16, rgb * 0.8)},
         ["x & y"],
     )
     found = parsed(text)
@@ -406,7 +401,7 @@ def test_a_small_chart_writes_its_four_files(stage, tmp_path):
         assert abs(float(row["bias"])) < 5 * float(row["bias_error"])
         assert float(row["relative_mse"]) == pytest.approx(float(row["relative_rms"]) ** 2, rel=1e-3)
         assert float(row["seconds"]) > 0 and float(row["first_call_s"]) > 0
-        assert row["reference_model"] in ("path", "path+slab") and row["reference_samples"] == "512"
+        assert row["reference_model"] == "path" and row["reference_samples"] == "512"
 
 
 @pytest.mark.slow

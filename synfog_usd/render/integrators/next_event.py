@@ -75,7 +75,6 @@ class NextEvent:
             With none of them it is the scene's own choice that is asked, for all other light.
         others: how many other lights there are but the environment.  Where there are none, a scattering in the fog
             sends them no shadow ray: the phase function's own sample finds a sky better.
-        sky_known: whether the sky's light is known already, so that no shadow ray looks for it.
         eye: the camera.
         groups: the lights' groups and kinds.
         lamp_faces: see `lamp_faces`; None where all light counts.
@@ -97,16 +96,15 @@ class NextEvent:
         lights: LightSampler,
         *,
         others: int,
-        sky_known: bool,
         eye: Eye,
         groups: LightGroups,
         lamp_faces: Any = None,
     ) -> None:
         self.loaded, self.medium, self.lights, self.groups, self.bands = loaded, medium, lights, groups, groups.bands
-        self.sky_known, self.foggy, self.lamp_faces = sky_known and not lights.count, medium.foggy, lamp_faces
+        self.foggy, self.lamp_faces = medium.foggy, lamp_faces
         sky = loaded.scene.environment() is not None and not lights.count
         self.in_fog = others > 0
-        self.at_surfaces = others > 0 or (sky and not sky_known)
+        self.at_surfaces = others > 0 or sky
         self.sky = SkyTable.of(loaded) if self.at_surfaces and others == 0 else None
         if self.sky is not None:
             self.sky_group = groups.of(backend.mitsuba().EmitterPtr(self.sky.environment), True)
@@ -188,8 +186,6 @@ class NextEvent:
         sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
         if self.at_surfaces:
             sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
-            if self.sky_known:
-                lit &= sent.emitter != mi.EmitterPtr(self.loaded.scene.environment())
             group = self.groups.of(sent.emitter, lit)
         return Chosen(lit & (sent.pdf > 0.0), sent.p, sent.d, power, group, sent.pdf, sent.delta)
 
@@ -254,8 +250,6 @@ class NextEvent:
         weight = dr.select(
             prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0)
         )
-        if self.sky_known:  # no shadow ray looks for the sky
-            weight = dr.select(surface_hit, weight, 1.0)
         emitter = si.emitter(scene, ended)
         if self.lit_faces is not None:
             area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit)

@@ -1,4 +1,4 @@
-"""A path tracer with fog in closed form, a split camera segment and a control variate.
+"""A path tracer with fog in closed form and a split camera segment.
 
 **Fog in closed form.**  Mitsuba's `volpath` finds the fog's edge by tracing a
 null-material box, on every path and every shadow ray.  Here the fog is a formula
@@ -8,11 +8,6 @@ null-material box, on every path and every shadow ray.  Here the fog is a formul
 surface and being scattered: one sub-path is scattered for certain, with weight 1 - T,
 the other meets the surface, with weight T.  So the AOVs surface, airlight_single
 and airlight_multiple come out by themselves.
-
-**Control variate.**  With a `ControlVariate` S, only the difference e = L - S is sampled:
-S is added where a path begins, and where it meets a surface, or leaves or enters the
-slab, the jump is added instead of the light (see `media.control_variate`).  It is unbiased
-as far as S fulfils the equation of transfer.
 
 The estimator below is the usual one (Kajiya and Von Herzen 1984; Pauly et al. 2000):
 flights in proportion to transmittance, phase function and BSDF sampling combined with
@@ -65,7 +60,6 @@ from synfog_usd.render.integrators.tasks import Tasks
 from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.control_variate import ControlVariate
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import Bands
@@ -79,9 +73,6 @@ and 16 alike,
 FAINT = 0.5
 """Share of a path's throughput after the first vertex below which it faces Russian roulette from the first event on."""
 
-DIFFERENCE_RR_PROB = 0.8
-"""Chance of a path to live on after each scattering but the first, where only a difference is sampled."""
-
 UNLIMITED = 1 << 20
 
 
@@ -91,7 +82,7 @@ class Truncation:
 
     Attributes:
         scatterings: how often the fog may scatter a path; what would be scattered more often is lost.
-        bounces: how many surfaces a path may meet; further ones count as black, or as lit by the slab alone.
+        bounces: how many surfaces a path may meet; further ones count as black.
     """
 
     scatterings: int = UNLIMITED
@@ -108,7 +99,6 @@ class FogPath:
         others: how many other lights there are but the environment.  Where there are
             none, a scattering in the fog sends them no shadow ray: the phase function's
             own sample finds a sky better.
-        control: light of the slab that is known already, or None.
         truncation: where paths are cut.
         groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their
             index, `lamps` of the
@@ -124,7 +114,6 @@ class FogPath:
         *,
         lights: LightSampler,
         others: int,
-        control: ControlVariate | None = None,
         truncation: Truncation | None = None,
         groups: tuple[str, ...] = ("other",),
         group_of_emitter: Any = None,
@@ -132,7 +121,7 @@ class FogPath:
         regularize: bool = True,
     ) -> None:
         self.bands = bands or Bands()
-        self.loaded, self.medium, self.lights, self.control = loaded, medium, lights, control
+        self.loaded, self.medium, self.lights = loaded, medium, lights
         self.truncation, self.foggy = truncation or Truncation(), medium.foggy
         self.group_names, self.groups = groups, len(groups)
         self.sky_group = groups.index("sky") if "sky" in groups else 0
@@ -150,7 +139,7 @@ class FogPath:
         lit, sky = self.lights.count > 0, self.loaded.scene.environment() is not None
         both = lit and (sky or others > 0)
         flags = lamp_faces(self.loaded) if both else None
-        how = {"eye": self.eye, "groups": self.light_groups, "sky_known": self.control is not None}
+        how = {"eye": self.eye, "groups": self.light_groups}
         asks = {}
         if not lit or both:
             none = LightSampler({}, {})
@@ -164,7 +153,7 @@ class FogPath:
         ask_lamps, scatters = self.asks.get(True), self.foggy and self.truncation.scatterings > 0
         if False in self.asks:
             yield SURFACE
-            if scatters or (self.foggy and self.control is not None):
+            if scatters:
                 yield INSCATTERED
         if ask_lamps is None:
             return
@@ -212,7 +201,7 @@ class FogPath:
         mi = backend.mitsuba()
         context, medium, bands, black = mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
-        lit_apart, control = LIT in self.estimators and not inscattered, None if asks.lights.count else self.control
+        lit_apart = LIT in self.estimators and not inscattered
 
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
         parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
@@ -272,15 +261,7 @@ class FogPath:
             surface_hit = active & si.is_valid() & ~medium_scattered
             end = dr.select(surface_hit, si.t, dr.inf)
 
-            # ==== 3. Control variate: at the eye the airlight between two ends, later a jump wherever its domain is
-            # entered or left
-            if dr.hint(control is not None, mode="scalar"):
-                jump = throughput * self.control_jump(ray, flight, end, active, at_eye, surface_hit, may_scatter)
-                if dr.hint(not inscattered, mode="scalar"):
-                    jump = dr.select(at_eye, black, jump)
-                path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, jump, mi.UInt32(2), mi.UInt32(0))
-
-            # ==== 4. First segment: it is split, and this estimator follows one side of it
+            # ==== 3. First segment: it is split, and this estimator follows one side of it
             tau = mi.Float(0.0)  # of the segment as far as its end
             if dr.hint(self.foggy, mode="scalar"):
                 tau = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
@@ -297,7 +278,7 @@ class FogPath:
             carries = dr.max(throughput) > 0.0  # Russian roulette of the camera's segment ends the others here
             surface_hit, medium_scattered = surface_hit & carries, medium_scattered & carries
 
-            # ==== 5. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
+            # ==== 4. Next-event estimation along the segment: lamps, scattered once; the camera segment's are the
             # estimator LAMPS
             if dr.hint(self.foggy and asks.lights.count > 0 and self.truncation.scatterings > 0, mode="scalar"):
                 lit = active & ~at_eye & (stop > near)
@@ -308,7 +289,7 @@ class FogPath:
                 )
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered + 1, group)
 
-            # ==== 6. What the clearest band, in which flights are drawn, keeps and the others lose
+            # ==== 5. What the clearest band, in which flights are drawn, keeps and the others lose
             if dr.hint(bands.coloured, mode="scalar"):
                 tau_to_end = medium.optical_depth_inside(
                     ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near)
@@ -319,7 +300,7 @@ class FogPath:
             if dr.hint(inscattered, mode="scalar"):
                 ended &= ~at_eye
 
-            # ==== 7. Emission at the segment's end, weighed against the shadow ray of the vertex before
+            # ==== 6. Emission at the segment's end, weighed against the shadow ray of the vertex before
             light, group = asks.emitted(
                 si,
                 ended,
@@ -337,7 +318,7 @@ class FogPath:
             )
             path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, group)
 
-            # ==== 8. The vertex: in the fog or on a surface
+            # ==== 7. The vertex: in the fog or on a surface
             vertex = dr.zeros(mi.Interaction3f)
             vertex.p = dr.select(medium_scattered, ray(flight), si.p)
             vertex.n = dr.select(medium_scattered, mi.Normal3f(0.0), si.n)
@@ -350,7 +331,7 @@ class FogPath:
             alive = surface_hit | medium_scattered
             smooth = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
 
-            # ==== 9. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
+            # ==== 8. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
             # gives the BSDF's value and its next direction)
             row = asks.sky_row(si)
             chosen = asks.own(vertex, row, smooth, medium_scattered, sampler)
@@ -385,21 +366,15 @@ class FogPath:
                 light = dr.select(free, light * (weight * reach_light), black)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, chosen.group)
 
-            # ==== 10. Next-event estimation at a surface: one lamp of few, or of very many
+            # ==== 9. Next-event estimation at a surface: one lamp of few, or of very many
             if dr.hint(asks.lights.count > 0 and asks.importance is None, mode="scalar"):
                 light, group = asks.at_surface(si, bsdf, reading, throughput, sampler, smooth, spread)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, group)
 
-            # ==== 11. The next direction: from the BSDF, or from the phase function
+            # ==== 10. The next direction: from the BSDF, or from the phase function
             direction, next_pdf = si.to_world(bounce.wo), bounce.pdf
             next_delta = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
-            onward = dr.select(surface_hit, throughput * gain, throughput)
-            if dr.hint(control is not None, mode="scalar"):
-                light = self.control_reflected(
-                    si, bsdf, reading, bounce, vertex, direction, throughput, onward, surface_hit, smooth, next_delta
-                )
-                path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, mi.UInt32(2), mi.UInt32(0))
-            throughput = onward
+            throughput = dr.select(surface_hit, throughput * gain, throughput)
             passed = mi.Bool(False)  # a pane, as shadow rays do: the vertex before it chose the direction
             if dr.hint(asks.panes is not None, mode="scalar"):
                 straight = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Null)
@@ -424,14 +399,14 @@ class FogPath:
             ray = vertex.spawn_ray(direction)
             depth += 1
 
-            # ==== 12. Roulette
+            # ==== 11. Roulette
             scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
-            rr_prob = self.roulette(throughput, scale, depth, scattered, medium_scattered, control is not None)
+            rr_prob = self.roulette(throughput, scale, depth)
             alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < rr_prob)
             alive &= medium_scattered | (bounces < self.truncation.bounces)
             throughput /= dr.maximum(rr_prob, 1e-8)
 
-            # ==== 13. The lane's next path where this one has ended, of its next task where this one has all of them
+            # ==== 12. The lane's next path where this one has ended, of its next task where this one has all of them
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
@@ -471,30 +446,10 @@ class FogPath:
         distance = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
         return near, far, dr.select(may_scatter & (distance < far), distance, dr.inf)
 
-    def control_jump(
-        self, ray: Any, flight: Any, end: Any, active: Any, at_eye: Any, surface_hit: Any, may_scatter: Any
-    ) -> Any:
-        """(3) The control variate's radiance where a segment enters its domain, less that where it leaves it or meets a
-        surface.
-        """
-        control, black = self.control, self.bands.black()
-        begin_in, end_in = control.intersect(ray.o, ray.d)
-        inside = active & (end_in > begin_in) & (begin_in < dr.minimum(end, flight))
-        leaves = dr.minimum(end, flight) > end_in
-        until = dr.select(leaves, end_in, end)  # a flight ends inside: nothing to add
-        counted = inside & dr.isfinite(until) & (leaves | surface_hit)
-        here = control.radiance(ray(until), ray.d, counted)
-        into = inside & ((begin_in > 0.0) | at_eye)
-        there = control.radiance(ray(begin_in), ray.d, into)
-        dimmed = at_eye | ~may_scatter if self.limited else at_eye  # no flight was drawn that thins the paths
-        dim_there = dr.select(dimmed, transmittance(self.medium.optical_depth(ray.o, ray.d, 0.0, begin_in))[0], 1.0)
-        dim_here = dr.select(dimmed, transmittance(self.medium.optical_depth(ray.o, ray.d, 0.0, until))[0], 1.0)
-        return dr.select(into, there * dim_there, black) - dr.select(counted, here * dim_here, black)
-
     def split_camera_segment(
         self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any
     ) -> tuple[Any, Any]:
-        """(4) Throughput of the side of the camera's segment that is followed, T or 1 - T. A faint
+        """(3) Throughput of the side of the camera's segment that is followed, T or 1 - T. A faint
         one faces Russian roulette, and its weight is the new scale.
         """
         through, opaque = transmittance(tau)
@@ -504,7 +459,7 @@ class FogPath:
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
     def sample_camera_segment(self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any) -> tuple[Any, Any]:
-        """(4) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
+        """(3) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
         extinction.
         """
         opaque = transmittance(tau)[1]
@@ -513,64 +468,9 @@ class FogPath:
             some &= False
         return some, self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
 
-    def control_reflected(
-        self,
-        si: Any,
-        bsdf: Any,
-        reading: Any,
-        bounce: Any,
-        vertex: Any,
-        direction: Any,
-        throughput: Any,
-        onward: Any,
-        surface_hit: Any,
-        smooth: Any,
-        next_delta: Any,
-    ) -> Any:
-        """(11) The control variate's light that a surface reflects: a matte part of it in closed form, the rest along
-        the direction that is taken.
-
-        It is counted where the next ray begins in the control's domain, a little above the surface: what a surface
-        lacks here that lies under the domain's floor by less than that, no jump of the ray would make up for.
-        """
-        control, black = self.control, self.bands.black()
-        seen = surface_hit & control.holds(vertex.spawn_ray(si.to_world(si.wi)).o)
-        along = surface_hit & control.holds(vertex.spawn_ray(direction).o) & (bounce.pdf > 0.0)
-        matte, normal = self.matte(si, bsdf, reading, seen & smooth)
-        irradiance = throughput * matte * control.irradiance(vertex.p, normal, seen) * dr.inv_pi
-        cosine = dr.dot(direction, normal)
-        expected = dr.select(next_delta | (cosine <= 0.0), 0.0, cosine * dr.inv_pi / dr.maximum(bounce.pdf, 1e-20))
-        rest = onward - throughput * matte * expected
-        return dr.select(seen, irradiance, black) + dr.select(
-            along, rest * control.radiance(vertex.p, direction, along), black
-        )
-
-    def roulette(
-        self, throughput: Any, scale: Any, depth: Any, scattered: Any, medium_scattered: Any, difference: bool
-    ) -> Any:
-        """(12) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little or only a
-        `difference`.
-        """
-        rr_prob = dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
-        if difference:
-            rr_prob *= dr.select(medium_scattered & (scattered > 1), DIFFERENCE_RR_PROB, 1.0)
-        return rr_prob
-
-    def matte(self, si: Any, bsdf: Any, reading: Any, active: Any) -> tuple[Any, Any]:
-        """A diffuse reflectance that stands for a BSDF in the slab's light, and the normal of the side that is seen.
-
-        Any value leaves the mean as it is, if the BSDF's own sampling covers the
-        hemisphere: so it is asked, far from the mirror's direction, for value and density.
-        """
-        mi = backend.mitsuba()
-        facing = dr.select(si.wi.z < 0.0, -1.0, 1.0)
-        flat = dr.maximum(dr.hypot(si.wi.x, si.wi.y), 1e-6)
-        back = mi.Vector3f(si.wi.x / flat * 0.8660254, si.wi.y / flat * 0.8660254, 0.5 * facing)
-        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, back, active)
-        fits = active & (pdf > 0.1 * dr.inv_pi)  # a fifth of the cosine's density at 60 degrees
-        return self.bands.reflectance(
-            dr.select(fits, dr.minimum(value * (2.0 * dr.pi), 1.0), 0.0), reading
-        ), mi.Vector3f(si.sh_frame.n) * facing
+    def roulette(self, throughput: Any, scale: Any, depth: Any) -> Any:
+        """(11) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little."""
+        return dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
 
 
 def _rr_prob(medium: Medium) -> float:

@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import ParameterError
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.path import FogPath, Truncation
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.control_variate import make_control_variate
 from synfog_usd.render.media.medium import Medium, unsupported_fog
 from synfog_usd.render.models import RGB
 from synfog_usd.render.spectra.bands import Bands
@@ -27,7 +25,6 @@ OTHER = "other"
 def make_tracer(
     loaded: MitsubaScene,
     *,
-    with_slab: bool = False,
     scatterings: int | None = None,
     bounces: int | None = None,
     bands: int = RGB,
@@ -36,13 +33,9 @@ def make_tracer(
     """Path tracing with the fog's edge in closed form.
 
     Args:
-        with_slab: sample only what differs from a plane-parallel slab, see `media.control_variate`.
         scatterings, bounces: see `Truncation`; None is no limit.
         bands: what a path carries, see `spectra.bands`.
         regularize: see `FogPath`.
-
-    Raises:
-        ParameterError: a slab for a scene that is none.
     """
     limits = {name: value for name, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None}
     world = loaded.source.world
@@ -53,11 +46,6 @@ def make_tracer(
     carried = Bands(bands, loaded.source.fog, spectra)
     carried.assign_spectral_bsdfs(loaded)
     medium = Medium(loaded.source.fog, carried.clearest)
-    control = None
-    if with_slab:
-        control, problem = make_control_variate(loaded, medium, carried, kind_of.get("light_sky", 0))
-        if control is None:
-            raise ParameterError(f"the slab cannot be used here: {problem}")
     names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
     lights = loaded.light_samplers.get((g, carried.kinds))
@@ -71,18 +59,12 @@ def make_tracer(
         medium,
         lights=lights,
         others=others,
-        control=control,
         truncation=cut,
         groups=names,
         group_of_emitter=of_emitter,
         bands=carried,
         regularize=regularize,
     )
-
-
-def make_slab(loaded: MitsubaScene, *, bands: int = RGB, regularize: bool = True) -> FogPath:
-    """The slab's airlight, and surfaces in the slab's light with visibility rays."""
-    return make_tracer(loaded, with_slab=True, scatterings=0, bounces=2, bands=bands, regularize=regularize)
 
 
 def make_single(loaded: MitsubaScene, *, bands: int = RGB, regularize: bool = True) -> FogPath:
@@ -93,25 +75,6 @@ def make_single(loaded: MitsubaScene, *, bands: int = RGB, regularize: bool = Tr
 def path_refuses(scene: SceneDict) -> str:
     """Why a scene is outside of `FogPath`'s domain, or ''."""
     return "it needs LLVM or CUDA" if backend.is_scalar() else unsupported_fog(scene.fog)
-
-
-def slab_refuses(scene: SceneDict) -> str:
-    """Why a scene is not like a plane-parallel slab, or ''."""
-    if problem := path_refuses(scene):
-        return problem
-    if len(scene.fog) != 1:
-        return f"it takes one fog volume, and there are {len(scene.fog)}"
-    matrix = scene.fog[0].boundary.to_world
-    if (
-        scene.fog[0].boundary.kind != "box"
-        or max(abs(matrix[2, :2]).max(), abs(matrix[:2, 2]).max()) > 1e-5 * abs(matrix[:3, :3]).max()
-    ):
-        return f"the fog {scene.fog[0].path} is no box with a level top"
-    if not any(
-        isinstance(part, dict) and part.get("type") in ("constant", "envmap", "sunsky") for part in scene.world.values()
-    ):
-        return "there is no sky"
-    return ""
 
 
 def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, int]]:

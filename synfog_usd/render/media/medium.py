@@ -140,18 +140,25 @@ def _nesting(around: Sequence[int | None], place: int) -> int:
     return 0 if parent is None else 1 + _nesting(around, parent)
 
 
-class Domain:
-    """A box or a ball in a kernel.
+class _Volume:
+    """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
 
-    Args:
-        to_world: (4, 4) of [-1, 1]^3 or the unit ball.
-        ball: which of the two.
-    """
-
-    def __init__(self, to_world: Any, *, ball: bool = False) -> None:
+    def __init__(self, volume: FogVolume, scale: float) -> None:
         mi = backend.mitsuba()
-        self.to_local, self.ball = mi.Transform4f(mi.ScalarTransform4f(to_world).inverse()), ball
+        to_world, self.ball = mi.ScalarTransform4f(volume.boundary.to_world), volume.boundary.kind == "sphere"
+        self.to_local = mi.Transform4f(to_world.inverse())
         dr.make_opaque(self.to_local)
+        medium = volume.medium
+        self.sigma_t, self.albedo = (
+            dr.opaque(mi.Float, scale * medium.sigma_t_per_m),
+            dr.opaque(mi.Float, medium.albedo),
+        )
+        self.exponential = medium.profile == "exponential"
+        if self.exponential:
+            self.base, self.scale = (
+                dr.opaque(mi.Float, medium.base_height_m),
+                dr.opaque(mi.Float, medium.scale_height_m),
+            )
 
     def contains(self, place: Any) -> Any:
         """Whether points are inside."""
@@ -173,25 +180,6 @@ class Domain:
             near, far = dr.max(dr.minimum(one, other)), dr.min(dr.maximum(one, other))
         near = dr.maximum(near, 0.0)
         return near, dr.maximum(far, near)
-
-
-class _Volume(Domain):
-    """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
-
-    def __init__(self, volume: FogVolume, scale: float) -> None:
-        super().__init__(volume.boundary.to_world, ball=volume.boundary.kind == "sphere")
-        mi = backend.mitsuba()
-        medium = volume.medium
-        self.sigma_t, self.albedo = (
-            dr.opaque(mi.Float, scale * medium.sigma_t_per_m),
-            dr.opaque(mi.Float, medium.albedo),
-        )
-        self.exponential = medium.profile == "exponential"
-        if self.exponential:
-            self.base, self.scale = (
-                dr.opaque(mi.Float, medium.base_height_m),
-                dr.opaque(mi.Float, medium.scale_height_m),
-            )
 
     def extinction(self, place: Any) -> Any:
         if not self.exponential:

@@ -153,10 +153,6 @@ class Bands:
         luminance = colour[0] * r + colour[1] * g + colour[2] * b
         return dr.select(kind > 0, self.gather(self._lit, kind, kind > 0) * luminance, mixed)
 
-    def light_in(self, colour: Array, kind: int) -> Array:
-        """(..., N) the same of (..., 3) numbers."""
-        return np.asarray(colour @ self.light_of if kind == 0 else (colour @ LUMINANCE)[..., None] * self.lit[kind - 1])
-
     def surface(self, bsdf: Any, active: Any) -> tuple[Any, Any]:
         """The BSDF to ask, and how `reflectance` reads what it answers."""
         return (bsdf, None) if self.spectral_bsdfs is None else self.spectral_bsdfs.of(bsdf, active)

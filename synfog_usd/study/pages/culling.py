@@ -32,9 +32,6 @@ SIZE = (64, 36)
 SAMPLES = 256
 SEEDS = (5, 6)
 
-MODELS = {"sky": "path", "active": "field"}
-"""What makes the pictures of each lighting."""
-
 SQUARE_PX = 4
 """Side of the squares over which errors are averaged: a pixel's own noise, at the samples that a minute allows, is as
 large as what is looked for.
@@ -87,15 +84,12 @@ class Saving:
     noise_max: float
 
 
-def saving(
-    name: str, scene: SceneDict, *, model: str = "path", samples: int = SAMPLES, leave_out: bool = False
-) -> Saving | None:
+def saving(name: str, scene: SceneDict, *, samples: int = SAMPLES, leave_out: bool = False) -> Saving | None:
     """Render a foggy scene whole and reduced.
 
     Args:
         name: for the record.
         scene: with its fog, at the size to compare at.
-        model: of `render.models`; before lamps the noise of `path` hides what is looked for, and `field` has less.
         samples: paths per pixel.
         leave_out: leave out all that is hidden, instead of simplifying what would be missed: to see what that would
             cost.
@@ -119,8 +113,8 @@ def saving(
         return None
     if leave_out:
         hidden = replace(hidden, simplified=frozenset(), left_out=hidden.simplified | hidden.left_out)
-    whole, load_whole, render_whole = _pictures(scene, model, samples)
-    reduced, load_reduced, render_reduced = _pictures(cull.reduced(scene, hidden), model, samples)
+    whole, load_whole, render_whole = _pictures(scene, samples)
+    reduced, load_reduced, render_reduced = _pictures(cull.reduced(scene, hidden), samples)
     sigma = _squares(noise(np.mean(whole, axis=0)))
     one, other = (_squares(b - a) / sigma for a, b in zip(whole, reduced, strict=True))
     mean, half = 0.5 * (one + other), 0.5 * (one - other)
@@ -141,17 +135,17 @@ def saving(
     )
 
 
-def _pictures(scene: SceneDict, model: str, samples: int) -> tuple[list[Array], float, float]:
+def _pictures(scene: SceneDict, samples: int) -> tuple[list[Array], float, float]:
     from synfog_usd.render import shot
 
     began = time.perf_counter()
     loaded = shot.load(scene, boundaries=False)
     load_s = time.perf_counter() - began
-    shot.render(scene, model=model, samples=16, seed=0, loaded=loaded)  # the kernels
+    shot.render(scene, model="path", samples=16, seed=0, loaded=loaded)  # the kernels
     pictures, seconds = [], []
     for seed in SEEDS:
         began = time.perf_counter()
-        made = shot.render(scene, model=model, samples=samples, seed=seed, loaded=loaded).radiance
+        made = shot.render(scene, model="path", samples=samples, seed=seed, loaded=loaded).radiance
         seconds.append(time.perf_counter() - began)
         pictures.append(
             photometry.luminance(made).reshape(scene.camera.height_px, scene.camera.width_px).astype(np.float64)
@@ -192,7 +186,6 @@ def measured(cases: Iterable[tuple[str, str, float]] = CASES) -> list[Saving]:
             row = saving(
                 f"{name}, {lighting}, MOR {visibility_m:g}",
                 foggy(stage, lighting, visibility_m),
-                model=MODELS[lighting],
             )
             rows += [] if row is None else [row]
             print(row, file=sys.stderr, flush=True)
@@ -203,10 +196,7 @@ def section(rows: Iterable[Saving]) -> str:
     """What stands between the marks, in Markdown."""
     from synfog_usd.study.chart import machine
 
-    text = (
-        f"{SIZE[0]} x {SIZE[1]}, {SAMPLES} samples of `path` by day and of `field` by night, {machine()}; the phone's "
-        f"sensor, "
-    )
+    text = f"{SIZE[0]} x {SIZE[1]}, {SAMPLES} samples of `path`, {machine()}; the phone's sensor, "
     text += f"errors over squares of {SQUARE_PX} pixels.\n\n"
     text += (
         "| shot | hidden below T | instances hidden | triangles saved | load, s | render, s | error / sigma, RMS | "

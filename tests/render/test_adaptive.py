@@ -1,0 +1,89 @@
+"""Stops: samples go where the error is, and no further than asked."""
+
+import numpy as np
+import pytest
+
+from synfog_usd.errors import ParameterError
+from synfog_usd.render import shot
+from synfog_usd.render.sampling import adaptive
+from synfog_usd.render.shot import render
+from synfog_usd.testing import scene, uniform_fog, wall
+
+SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
+FOGGY = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=40.0)
+
+
+def test_a_loose_target_takes_fewer_samples_than_a_tight_one_and_both_are_met():
+    """The error that is asked for is the error that is stated, and a tenth of the error costs more."""
+    loose, tight = (render(FOGGY, model="path", samples=8192, target_error=error, seed=1) for error in (0.2, 0.015))
+    assert loose.met == 1.0 and tight.met > 0.95  # an edge takes more than all
+    assert loose.samples < tight.samples < 8193  # the last round is in whole chunks
+    assert tight.relative_error < 0.017
+
+
+def test_samples_are_the_other_stop():
+    """What cannot be met with the samples allowed is not met, and said to be."""
+    done = render(FOGGY, model="path", samples=64, target_error=0.001, seed=1)
+    assert done.met < 0.1 and done.samples <= 1.25 * 64
+
+
+def test_an_adaptive_render_repeats_byte_for_byte():
+    """Rounds depend on what was measured, not on the clock."""
+    one, other = (
+        render(FOGGY, model="path", samples=512, target_error=0.05, seed=3).radiance.pixels.tobytes() for _ in range(2)
+    )
+    assert one == other
+
+
+def test_time_is_the_third_stop():
+    """A limit that is over at once leaves the first round only."""
+    assert render(FOGGY, model="path", samples=4096, time_limit_s=1e-6).samples == 32
+
+
+def test_the_sensors_target_is_a_third_of_its_noise():
+    """Two noises that come together grow by the square: 5 % more than the sensor's alone."""
+    noise = adaptive.sensor_target(lambda luminance: 0.5 * np.sqrt(luminance))(np.array([4.0]))[0]
+    assert np.hypot(noise, 1.0) == pytest.approx(1.054, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        ({"target_error": 0.0}, "--target-error"),
+        ({"target_error": 2.0}, "--target-error"),
+        ({"time_limit_s": 0.0}, "--time-limit"),
+    ],
+)
+def test_a_target_out_of_range_is_refused(wrong, words):
+    """With the option's name."""
+    with pytest.raises(ParameterError, match=words):
+        render(FOGGY, **wrong)
+
+
+def test_the_samples_that_are_told_are_those_that_were_asked_for():
+    """However many estimators a picture has."""
+    assert render(FOGGY, model="path", samples=20).samples == 20
+
+
+def test_choosing_bands_is_a_part_of_the_progress(monkeypatch):
+    """What is tried small before the picture takes the first tenth; the whole never falls and ends at 1."""
+    monkeypatch.setattr(shot, "WORTH_TRYING_BANDS", 0)
+    told = []
+    render(
+        FOGGY,
+        model="path",
+        samples=16,
+        bands=None,
+        size=(16, 8),
+        progress=lambda what, share: told.append((what, share)),
+    )
+    shares = [share for _, share in told]
+    assert max(share for what, share in told if what == "trying bands") <= shot.CHOOSING
+    assert shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_estimators_that_are_waited_for_together_are_told_of_together():
+    """Two estimators of a small picture: one report, at its end; else the second's time would be told as nothing."""
+    told = []
+    render(FOGGY, model="path", samples=4, size=(16, 8), progress=lambda what, share: told.append(share))
+    assert set(told) <= {0.0, 1.0} and told[-1] == 1.0
