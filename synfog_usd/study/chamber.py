@@ -41,8 +41,8 @@ from synfog_usd.render.film.accumulator import (
     SINGLE,
     Accumulator,
     add_samples,
+    allocation,
     new_accumulator,
-    neyman_allocation,
 )
 from synfog_usd.render.sampling.sobol import RUN
 from synfog_usd.render.shot import load, render
@@ -556,7 +556,7 @@ def sample_patches(
             return accumulated
         for more, wheres in short.items():
             where = np.sort(np.concatenate(wheres))
-            share = neyman_allocation(accumulated, more, pixels=where)
+            share = allocation(accumulated, round(accumulated.samples_of(where)) + more, pixels=where)
             add_samples(
                 accumulated, integrator, where, {name: _runs(count) for name, count in share.items()}, seed=seed
             )

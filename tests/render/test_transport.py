@@ -332,19 +332,17 @@ def test_light_groups_of_what_will_be_denoised_are_kept_in_squares_of_two_pixels
     shining = [key for key, part in world.world.items() if key.startswith("light_") or "emitter" in part]
     world = replace(world, group_of=dict(zip(shining, "abc" * len(shining), strict=False)))
     integrator = models.make("path", load(world, size=(width, height), boundaries=False))
-    whole, cut = (
-        accumulator.accumulate_by_estimator(integrator, samples=4, seed=5, denoised=denoised)
-        for denoised in (False, True)
-    )
-    counts = {name: estimator.counts.sum(axis=0)[0] for name, estimator in cut.estimators.items()}
-    assert counts[accumulator.SURFACE] == 4
+    pixels = np.arange(width * height)
+    whole, cut = (accumulator.new_accumulator(integrator, len(pixels), denoised=denoised) for denoised in (False, True))
+    for picture in (whole, cut):
+        accumulator.add_samples(picture, integrator, pixels, picture.even(4), 5)
     for _ in range(integrator.groups):
         fine, coarse = whole.take_group(), cut.take_group(accumulator.Squares(width, height))
         np.testing.assert_allclose(coarse[accumulator.DIRECT], fine[accumulator.DIRECT], rtol=1e-6)
-        for name in (accumulator.SURFACE, accumulator.LAMPS):  # of the air fewer samples are taken
-            pixels = fine[name].reshape(height, width, 3)
+        for name in (accumulator.SURFACE, accumulator.LAMPS):
+            light = fine[name].reshape(height, width, 3)
             wanted = [
-                pixels[row : row + 2, column : column + 2].mean(axis=(0, 1), dtype=np.float64)
+                light[row : row + 2, column : column + 2].mean(axis=(0, 1), dtype=np.float64)
                 for row in range(0, height, 2)
                 for column in range(0, width, 2)
             ]

@@ -21,7 +21,7 @@ import numpy as np
 
 from synfog_usd import numbers
 from synfog_usd.arrays import Array, FloatArray, Indices
-from synfog_usd.progress import Progress, silent
+from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.seeds import seed32
@@ -68,11 +68,8 @@ DIRECT = "lamps_direct"
 """Faces of lamps as the eye sees them, an estimator and an AOV of its own; it is not part of `SURFACE`."""
 
 LIT = "surface_lit"
-"""Lamps' light on the first surface, where many lamps are drawn by importance: then not in the estimator `SURFACE`, to
-whose AOV it adds.  Images of lamps in paint and glass are smaller than a pixel: it takes many eye rays, and a short
-path each.  Crossing at dusk, 96x54, relative variance x time of the surfaces' light, before over after: of all pixels
-8.6 in clear air and 6.2 at MOR 150, without the worst hundredth 0.8 and 1.2, in the median pixel 0.9 and 0.9.
-"""
+"""Lamps' light on the first surface, where many lamps are drawn by importance; it adds to the AOV of `SURFACE`.  Images
+of lamps in paint and glass are smaller than a pixel: it takes many eye rays, and a short path each."""
 
 COMPONENTS = (SURFACE, SINGLE, MULTIPLE, DIRECT)
 """AOVs that add up to the picture; the last is there only where lamps' faces are seen."""
@@ -90,34 +87,21 @@ AOVS = {
 
 ESTIMATOR_COST = {
     SURFACE: 1.0,
-    INSCATTERED: 1.0,
-    SURFACE_OF_LAMPS: 4.0,
+    INSCATTERED: 1.2,
+    SURFACE_OF_LAMPS: 3.0,
     INSCATTERED_OF_LAMPS: 4.0,
     LIT: 0.4,
     LAMPS: 0.25,
     DIRECT: 0.03,
 }
-"""Seconds of a path of each estimator, relative; measured on bench stages and the crossing within a factor of 1.7, and
-fixed, so that the same seed gives the same bytes."""
+"""Seconds of a path of each estimator, relative; measured at dusk within a factor of 2 (motorway, residential street,
+crossing), and fixed, so that the same seed gives the same bytes."""
 
+AIR = (INSCATTERED, INSCATTERED_OF_LAMPS)
+"""Estimators of light that varies slowly over the picture, of which denoising takes more of the noise."""
 
 SMOOTH = 0.25
-"""Part of its variance by which INSCATTERED counts where it will be denoised: it has few edges to lose.
-
-Crossing at dusk, 4 samples of the surfaces, 2 instead of 4 of it: RMS error after denoising 1.5 % larger at MOR 150
-and 4.4 % at MOR 600 (160x90), none at MOR 600 (320x180), for a quarter less time; 2 of the surfaces and 4 of it: 6, 10
-and 13 %.
-"""
-
-SURFACE_BESIDE_LIT, LIT_IN_FRONT = 0.5, 2.0
-"""Samples of SURFACE and of LIT over those of a picture that will be denoised, where there is LIT: what is left to
-SURFACE is smooth then, and its paths are long.
-
-At dusk, against as many samples of both, RMS error after denoising without the worst hundredth, and of the median
-pixel (256x144, six seeds): crossing at MOR 150, of 4 samples 12.1 and 12.1 %, 5.7 and 5.7 %, of 16 8.5 and 8.5, 3.9 and
-3.9; clear, of 4 24.7 and 26.3, 7.9 and 8.0, of 16 17.0 and 17.3, 5.3 and 5.1; residential street at MOR 300, of 4 16.1
-and 15.5, 8.1 and 7.8; arterial road 22.5 and 24.3, 10.2 and 10.7; all in 6 to 17 % less time, denoising counted.
-"""
+"""Part of its variance by which an estimator of `AIR` counts where the picture will be denoised."""
 
 SHARE_PX = 2
 """Side of the squares in which light groups are kept and denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the
@@ -357,25 +341,21 @@ class Accumulator:
 
     @property
     def samples_per_pixel(self) -> float:
-        """Mean over the estimators that sample pixels, weighted by what a sample costs: a picture of so many samples of
-        each of them costs the same.
-        """
-        spent = {name: part.counts.sum(axis=0).mean() for name, part in self.estimators.items()}
-        cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in spent}
-        return float(sum(cost[name] * count for name, count in spent.items()) / sum(cost.values()))
+        """Mean over the estimators, weighted by what a sample costs: as many samples of each cost the same."""
+        return self._mean_cost({name: float(part.counts.sum(axis=0).mean()) for name, part in self.estimators.items()})
 
-    def even(self, samples: int, *, denoised: bool = False) -> dict[str, int]:
-        """As many samples of each estimator, but where they will be denoised less of INSCATTERED, see `SMOOTH`, and of
-        SURFACE for the sake of LIT, see `SURFACE_BESIDE_LIT`; in the cells what costs the same, four times as many at
-        most.
-        """
-        found = dict.fromkeys(self.estimators, samples)
-        if denoised and INSCATTERED in found:
-            found[INSCATTERED] = max(HALVES, round(math.sqrt(SMOOTH) * samples))
-        if denoised and LIT in found:
-            found[SURFACE] = max(HALVES, round(SURFACE_BESIDE_LIT * samples))
-            found[LIT] = round(LIT_IN_FRONT * samples)
-        return found
+    def samples_of(self, pixels: Indices) -> float:
+        """The same, of the median one of some pixels (N,)."""
+        counts = {name: part.counts.sum(axis=0)[pixels] for name, part in self.estimators.items()}
+        return self._mean_cost({name: float(np.median(count)) for name, count in counts.items()})
+
+    def _mean_cost(self, counts: Mapping[str, float]) -> float:
+        cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in counts}
+        return sum(cost[name] * count for name, count in counts.items()) / sum(cost.values())
+
+    def even(self, samples: int) -> dict[str, int]:
+        """As many samples of each estimator."""
+        return dict.fromkeys(self.estimators, samples)
 
 
 def accumulate_by_estimator(
@@ -394,31 +374,20 @@ def accumulate_by_estimator(
     """
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=denoised), np.arange(pixels)
-    if samples < 3 * CHUNK or len(integrator.estimators) == 1:
-        add_samples(accumulated, integrator, everywhere, accumulated.even(samples, denoised=denoised), seed, progress)
-        return accumulated
-    first = accumulated.even(CHUNK, denoised=denoised)
-    add_samples(
-        accumulated,
-        integrator,
-        everywhere,
-        first,
-        seed,
-        lambda what, fraction: progress(what, fraction * CHUNK / samples),
-    )
-    more = {
-        estimator: max(count - first[estimator], 0)
-        for estimator, count in neyman_allocation(accumulated, samples, denoised=denoised).items()
-    }
-    add_samples(
-        accumulated,
-        integrator,
-        everywhere,
-        more,
-        seed,
-        lambda what, fraction: progress(what, (CHUNK + fraction * (samples - CHUNK)) / samples),
-    )
+    before = 0.0
+    for number in rounds(samples, denoised=denoised):
+        more = allocation(accumulated, number, denoised=denoised)
+        add_samples(accumulated, integrator, everywhere, more, seed, within(progress, before, number / samples))
+        before = number / samples
     return accumulated
+
+
+def rounds(samples: int, *, denoised: bool = False) -> tuple[int, ...]:
+    """Samples after each round of an image that gets `samples`: the first is spread evenly, and shows which estimator
+    is noisy.  Of a picture that is not denoised rounds are whole runs of CHUNK, so that its variance is right.
+    """
+    first = min(max(samples // 4 // HALVES * HALVES, HALVES), CHUNK) if denoised else CHUNK
+    return (first, samples) if samples >= (2 * HALVES if denoised else 3 * CHUNK) else (samples,)
 
 
 def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
@@ -428,38 +397,61 @@ def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accu
     )
 
 
-def neyman_allocation(
+def allocation(
     accumulated: Accumulator, samples: int, *, denoised: bool = False, pixels: Indices | None = None
 ) -> dict[str, int]:
-    """How many samples each estimator should have, in multiples of CHUNK, at the cost of `samples` of each.
+    """How many more samples each estimator should get, at the cost of `samples` of each in all.
 
-    Variance per sample over cost is evened out: n ~ sqrt(variance / cost), as in
-    Neyman's allocation.  Pixels count by their relative variance, the noisiest
-    hundredth left out, so that one firefly decides nothing.  What will be denoised counts by `SMOOTH`.  Of the
-    `pixels` (N,) alone where they are given.
+    n ~ sqrt(variance / cost) evens out variance per second (Neyman's allocation).  Pixels count by their relative
+    variance, the noisiest hundredth left out, so that no single firefly decides.  What will be denoised counts by
+    `SMOOTH`.  The first samples are spread evenly, and later ones come in whole pairs or runs of CHUNK.
+
+    Args:
+        pixels: (N,) those that count; all of them where None.
     """
+    have = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
+    if pixels is not None:
+        have = {name: int(np.median(e.counts.sum(axis=0)[pixels])) for name, e in accumulated.estimators.items()}
+    if len(have) == 1 or min(have.values()) < HALVES:
+        return {name: max(samples - count, 0) for name, count in have.items()}
+    weight = {
+        name: max(math.sqrt(value * (SMOOTH if denoised and name in AIR else 1.0) / ESTIMATOR_COST[name]), 1e-6)
+        for name, value in _relative_variances(accumulated, pixels).items()
+    }
+    budget = samples * sum(ESTIMATOR_COST[name] for name in weight)
+    spent = sum(ESTIMATOR_COST[name] * count for name, count in have.items())
+    share = _filled(weight, have, budget)
+    step = HALVES if denoised and samples < 3 * CHUNK else CHUNK
+    more = {name: max(round((share[name] - count) / step) * step, 0) for name, count in have.items()}
+    if budget > spent and not any(more.values()):
+        more[max(share, key=lambda name: share[name] - have[name])] = step
+    return more
+
+
+def _filled(weight: Mapping[str, float], have: Mapping[str, int], budget: float) -> dict[str, float]:
+    """Samples in proportion to `weight`, none fewer than there are, that cost `budget` in all."""
+    fixed: set[str] = set()
+    while True:
+        left = budget - sum(ESTIMATOR_COST[name] * have[name] for name in fixed)
+        free = [name for name in weight if name not in fixed]
+        unit = max(left, 0.0) / max(sum(ESTIMATOR_COST[name] * weight[name] for name in free), 1e-30)
+        over = {name for name in free if unit * weight[name] < have[name]}
+        if not over:
+            return {name: float(have[name]) if name in fixed else unit * weight[name] for name in weight}
+        fixed |= over
+
+
+def _relative_variances(accumulated: Accumulator, pixels: Indices | None) -> dict[str, float]:
+    """Mean relative variance of one sample of each estimator, without the noisiest hundredth of the pixels."""
     some = slice(None) if pixels is None else pixels
     level = accumulated.luminance()[some]
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
-    noise = {}
+    found = {}
     for name, estimator in accumulated.estimators.items():
-        relative = (
-            estimator.variance()[some]
-            @ accumulated.weights
-            * accumulated.weights.sum()
-            * estimator.counts.sum(axis=0)[some]
-            / scale**2
-        )
-        noise[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
-    if denoised and INSCATTERED in noise:
-        noise[INSCATTERED] *= SMOOTH
-    weight = {name: max(np.sqrt(value / ESTIMATOR_COST[name]), 1e-6) for name, value in noise.items()}
-    unit = (
-        samples
-        * sum(ESTIMATOR_COST[name] for name in weight)
-        / sum(ESTIMATOR_COST[name] * value for name, value in weight.items())
-    )
-    return {name: max(CHUNK, round(unit * value / CHUNK) * CHUNK) for name, value in weight.items()}
+        spread = estimator.variance()[some] @ accumulated.weights * accumulated.weights.sum()
+        relative = spread * estimator.counts.sum(axis=0)[some] / scale**2
+        found[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
+    return found
 
 
 def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) -> Accumulator:

@@ -17,13 +17,13 @@ from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import Error
 from synfog_usd.render.film.accumulator import (
     CHUNK,
-    ESTIMATOR_COST,
     Accumulator,
     Integrator,
     accumulate_by_estimator,
     add_samples,
+    allocation,
     new_accumulator,
-    neyman_allocation,
+    rounds,
 )
 from synfog_usd.render.integrators.path import FogPath
 
@@ -129,36 +129,22 @@ def accumulate_to_target(
     camera = integrator.loaded.source.camera
     pixels = camera.width_px * camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
-    first = min(2 * CHUNK, max(2, target.samples))
-    add_samples(
-        accumulated,
-        integrator,
-        everywhere,
-        accumulated.even(first),
-        seed,
-        within(progress, 0.0, first / target.samples),
-    )
-    spent = first
-    while spent < target.samples and first % CHUNK == 0 and (target.time_s is None or now() < target.time_s):
+    spent: float = min(2 * CHUNK, max(2, target.samples))
+    first = allocation(accumulated, int(spent))
+    add_samples(accumulated, integrator, everywhere, first, seed, within(progress, 0.0, spent / target.samples))
+    while spent < target.samples and spent >= 2 * CHUNK and (target.time_s is None or now() < target.time_s):
         need = _needed(
             accumulated.luminance(), accumulated.luminance_variance(), target, (camera.height_px, camera.width_px)
         )
         short = need > 1.0
         if not short.any():
             break
-        share = neyman_allocation(accumulated, CHUNK * len(integrator.estimators))
-        budget = (target.samples - spent) * pixels
         rows = everywhere[short]
-        have = int(np.median(next(iter(accumulated.estimators.values())).counts.sum(axis=0)[rows]))
-        count = int(min(have, budget // len(rows)) // CHUNK * CHUNK)  # a round at most doubles what a pixel has
-        if count == 0:
+        have = accumulated.samples_of(rows)
+        count = int(min(have, (target.samples - spent) * pixels / len(rows)))  # a round doubles what a pixel has
+        if count < CHUNK:
             break
-        scale = (
-            count
-            * sum(ESTIMATOR_COST[part] for part in share)
-            / sum(ESTIMATOR_COST[part] * value for part, value in share.items())
-        )
-        more = {part: max(CHUNK, round(value * scale / CHUNK) * CHUNK) for part, value in share.items()}
+        more = allocation(accumulated, int(have) + count, pixels=rows)
         after = spent + count * len(rows) / pixels
         add_samples(
             accumulated, integrator, rows, more, seed, within(progress, spent / target.samples, after / target.samples)
@@ -191,9 +177,9 @@ def accumulate_denoised(
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
     spent = min(FIRST, target.samples)
     share = spent / target.samples  # of the work, as far as is known
-    add_samples(
-        accumulated, integrator, everywhere, accumulated.even(spent, denoised=True), seed, within(progress, 0.0, share)
-    )
+    for number in rounds(spent, denoised=True):
+        more = allocation(accumulated, number, denoised=True)
+        add_samples(accumulated, integrator, everywhere, more, seed, within(progress, 0.0, share * number / spent))
     while spent < target.samples and (target.time_s is None or now() < target.time_s):
         noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
         needed = float(noise / DENOISER_GAIN) ** 2  # times the samples that there are, until denoising is worth a try
@@ -209,13 +195,7 @@ def accumulate_denoised(
                 enough = min(excess ** (1.0 / CLEAR_FALL) * spent, float(target.samples))
             needed = min(needed, LONGEST_STRIDE)
         after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
-        had = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
-        wanted = (
-            neyman_allocation(accumulated, after, denoised=True)
-            if after >= 2 * CHUNK
-            else accumulated.even(after, denoised=True)
-        )  # which gives whole runs
-        more = {name: max(count - had[name], 0) for name, count in wanted.items()}
+        more = allocation(accumulated, after, denoised=True)
         part = min((after - spent) / max(enough - spent, 1.0), LAST) if after < target.samples else 1.0
         reach = share + (1.0 - share) * part
         add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
