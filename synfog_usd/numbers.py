@@ -7,16 +7,47 @@ Takes numbers; raises for those out of range, in the words of the command line. 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.errors import ParameterError, did_you_mean
 
 SAMPLES = (2, 1 << 20)
 """Paths per pixel; one has no variance."""
 
-MOST_SAMPLES = 128
-"""Paths per pixel that a bake spends at most unless told: those that the crossing's RAW files by day in clear air want,
-so that their noise is the sensor's: 1.12 times it, and 1.25 with 64 (middle of 640x360); other shots stop sooner.
-"""
+
+@dataclass(frozen=True)
+class Quality:
+    """What a bake promises of its pictures.
+
+    Attributes:
+        promise: in words.
+        samples: paths per pixel at most.
+        error: relative error of the median pixel to stop at; None where samples or the sensor alone decide.
+        mottle: clouds that may be left, see `render.dualbuffer.mottle`; None likewise.
+        sensor: whether to stop where the sensor's noise hides what is left.
+        denoise, regularize: see `render.shot.Settings`.
+    """
+
+    promise: str
+    samples: int
+    error: float | None = None
+    mottle: float | None = None
+    sensor: bool = False
+    denoise: bool = True
+    regularize: bool = True
+
+
+QUALITIES = {
+    "draft": Quality("composition and light can be judged", samples=4),
+    "standard": Quality("nothing that a person sees at full size", samples=64, error=0.06, mottle=0.01),
+    "sensor": Quality("a RAW deviates at most 1.15 times what its sensor does", samples=128, sensor=True),
+    "reference": Quality(
+        "neither denoised nor regularized: it converges to the truth", samples=1024, denoise=False, regularize=False
+    ),
+}
+"""By name, cheapest first."""
+
+STANDARD = "standard"
 
 RGB = 3
 """Channels of a path that carries no wavelength bands."""
@@ -46,6 +77,18 @@ def check_samples(samples: int, option: str = "--samples") -> None:
     if not SAMPLES[0] <= samples <= SAMPLES[1]:
         raise ParameterError(
             f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 16 are a draft, 1024 are clean in dense fog"
+        )
+
+
+def check_quality(name: str) -> None:
+    """Refuse a quality that does not exist.
+
+    Raises:
+        ParameterError: with those that do.
+    """
+    if name not in QUALITIES:
+        raise ParameterError(
+            f"--quality {name}: not known; it takes {', '.join(QUALITIES)}.{did_you_mean(name, tuple(QUALITIES))}"
         )
 
 

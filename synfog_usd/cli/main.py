@@ -123,10 +123,11 @@ def bake(
             )
         ),
     ] = "auto",
-    samples: options.Samples = numbers.MOST_SAMPLES,
+    quality: options.Quality = numbers.STANDARD,
+    samples: options.Samples = None,
     target_error: Annotated[
         float | None,
-        typer.Option(help="Relative error of a pixel to stop at, as 0.01; the sensor's noise if left out."),
+        typer.Option(help="Relative error of a pixel to stop at, as 0.01, instead of what --quality promises."),
     ] = None,
     time_limit: Annotated[
         float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")
@@ -138,23 +139,27 @@ def bake(
         ),
     ] = "auto",
     denoise: Annotated[
-        bool,
+        bool | None,
         typer.Option(
+            "--denoise/--no-denoise",
+            show_default=False,
             help=(
                 "Clean surfaces and airlight apart (Open Image Denoise) and tell what error is left; --no-denoise "
                 "gives the plain mean."
-            )
+            ),
         ),
-    ] = True,
+    ] = None,
     regularize: Annotated[
-        bool,
+        bool | None,
         typer.Option(
+            "--regularize/--no-regularize",
+            show_default=False,
             help=(
                 "Blur what mirrors show of lamps by way of fog or rough surfaces, less the more samples there are; "
                 "--no-regularize leaves --no-denoise without any bias, and more rare bright pixels."
-            )
+            ),
         ),
-    ] = True,
+    ] = None,
     cull: Annotated[
         bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
@@ -198,6 +203,7 @@ def bake(
             mask=_names(mask, "--mask") or (),
             size=_size(resolution),
             model=model,
+            quality=quality,
             samples=samples,
             target_error=target_error,
             time_limit_s=time_limit,

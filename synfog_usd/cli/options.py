@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, SynfogError
 
 
@@ -64,7 +65,13 @@ SunLux = Annotated[
     float | None,
     typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
 ]
-Samples = Annotated[int, typer.Option(help="Most paths per pixel, on average.")]
+Quality = Annotated[
+    str,
+    typer.Option(
+        help="; ".join(f"{word}: {quality.promise}" for word, quality in numbers.QUALITIES.items()) + ".",
+    ),
+]
+Samples = Annotated[int | None, typer.Option(help="Most paths per pixel, on average; those of --quality if left out.")]
 Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
 Gpu = Annotated[
     int | None,

@@ -10,13 +10,12 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import functools
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import files, system
+from synfog_usd import files, numbers, system
 from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibility
 from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
@@ -105,7 +104,7 @@ def bake(
     from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend
     from synfog_usd.render.film import aovs
-    from synfog_usd.render.film.accumulator import SMOOTH, idle
+    from synfog_usd.render.film.accumulator import idle
     from synfog_usd.render.shot import Settings, check_memory, sampling_share
 
     bake_began = time.monotonic()
@@ -154,7 +153,7 @@ def bake(
 
         def expected() -> list[Kind]:
             facts = [(shot.lighting, scenes.mor_m(shot), scenes.lights(shot.lighting)) for shot in unfinished]
-            return kinds(facts, plan.samples, math.sqrt(SMOOTH) if plan.denoise else 1.0)
+            return kinds(facts, plan.samples)
 
         forecast = Forecast(expected(), began=bake_began, most=plan.samples)
 
@@ -540,12 +539,15 @@ def _settings(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings
 
+    quality, own = numbers.QUALITIES[plan.quality], plan.target_error is None
+    error = quality.error if own else plan.target_error
     return Settings(
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
         seed=seed,
-        target_error=min(1.0, plan.target_error * density) if plan.target_error is not None else None,
-        sensor_sigma=sensor_target(floor) if floor and plan.target_error is None else None,
+        target_error=min(1.0, error * density) if error is not None else None,
+        target_mottle=quality.mottle if own and plan.denoise else None,
+        sensor_sigma=sensor_target(floor) if floor and own and quality.sensor else None,
         time_limit_s=plan.time_limit_s,
         bands=plan.bands,
         denoise=plan.denoise,
@@ -634,6 +636,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         "denoised": bool(rendered.radiance.provenance.get("denoised", False)),
         "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
+        "mottle": None if rendered.mottle is None else float(f"{rendered.mottle:.4g}"),
         "exposure": {
             "exposure_s": exposure.exposure_s,
             "iso": exposure.iso,
@@ -711,9 +714,12 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
 
     For a sensor: the shares of its noise under which what differs from seed to seed and the whole error are to stay.
     """
+    quality = numbers.QUALITIES[plan.quality]
     if plan.target_error is not None:
         kind: dict[str, Any] = {"relative_error": plan.target_error}
-    elif pixel is not None:
+    elif quality.error is not None:
+        kind = {"relative_error": quality.error, "mottle": quality.mottle}
+    elif quality.sensor and pixel is not None:
         share, whole = 1 / 3, 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
         kind = {
             "sensor": {

@@ -118,7 +118,7 @@ class Kind:
     foggy: bool
     first_foggy: bool
     lights: Lights = "sky"
-    samples: float = field(default=numbers.MOST_SAMPLES, compare=False)
+    samples: float = field(default=numbers.QUALITIES["sensor"].samples, compare=False)
     air: float = 1.0
     mor_m: float = field(default=REFERENCE_MOR_M, compare=False)
     beside: float = field(default=0.0, compare=False)
@@ -141,7 +141,9 @@ class Kind:
 
 
 def kinds(
-    shots: Sequence[tuple[str, float | None, Lights]], samples: int = numbers.MOST_SAMPLES, air: float = 1.0
+    shots: Sequence[tuple[str, float | None, Lights]],
+    samples: int = numbers.QUALITIES["sensor"].samples,
+    air: float = 1.0,
 ) -> list[Kind]:
     """The kind of each shot of a bake, in order, from its lighting, the visibility in its fog [m] or None in clear air,
     and what shines; at most so many samples of a pixel, and air as in `Kind`.
@@ -225,7 +227,7 @@ class Forecast:
         shots: Sequence[Kind],
         now: Callable[[], float] = time.monotonic,
         began: float | None = None,
-        most: int = numbers.MOST_SAMPLES,
+        most: int = numbers.QUALITIES["sensor"].samples,
     ) -> None:
         self._shots, self._now, self._most = list(shots), now, most
         self._shot_began: float | None = now()

@@ -58,6 +58,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "frame": plan.frame,
             "size_px": list(plan.size) if plan.size else None,
             "model": plan.model,
+            "quality": plan.quality,
             "samples": plan.samples,
             "target_error": plan.target_error,
             "time_limit_s": plan.time_limit_s,

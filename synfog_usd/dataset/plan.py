@@ -83,8 +83,9 @@ class BakePlan:
         meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
+        quality: a word of `numbers.QUALITIES`; it decides when sampling stops.
         model, samples, seed, target_error, time_limit_s, bands, denoise, regularize: see `render.shot.Settings`.
-            Without a target error the sensor's own noise is the target.
+            Samples, denoise and regularize are the quality's where None; a target error replaces its target.
         cull: whether what fog hides from the sensor is simplified or left out, see `cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
@@ -112,13 +113,14 @@ class BakePlan:
     camera: str | None = None
     frame: float | None = None
     size: tuple[int, int] | None = None
+    quality: str = numbers.STANDARD
     model: str = "auto"
-    samples: int = numbers.MOST_SAMPLES
+    samples: int | None = None
     target_error: float | None = None
     time_limit_s: float | None = None
     bands: int | None = None
-    denoise: bool = True
-    regularize: bool = True
+    denoise: bool | None = None
+    regularize: bool | None = None
     cull: bool = True
     seed: int = 0
     variant: str = "auto"
@@ -147,6 +149,10 @@ class BakePlan:
     def __post_init__(self) -> None:
         if self.meter not in METERS:
             raise ParameterError(f"--meter {self.meter}: takes {' or '.join(METERS)}")
+        numbers.check_quality(self.quality)
+        for name in ("samples", "denoise", "regularize"):
+            if getattr(self, name) is None:  # the plan is frozen, and is whole from here on
+                object.__setattr__(self, name, getattr(numbers.QUALITIES[self.quality], name))
         numbers.check_samples(self.samples)
         numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)

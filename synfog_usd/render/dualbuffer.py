@@ -89,6 +89,10 @@ DOUBT = 2.0
 
 BLOCK_PX = 8
 
+MOTTLE_WIDTHS, LEAST_MOTTLE_PX = 40, 4
+"""Width of a picture over the standard deviation of the blur under which its error counts as mottle, and the least such
+standard deviation [px]."""
+
 
 @dataclass(frozen=True)
 class Error:
@@ -98,10 +102,12 @@ class Error:
         rms: (H, W) expected RMS error of each pixel, in the picture's unit.
         scatter: (H, W) the part of it in which two pictures with seeds of their own differ: the standard deviation of
             each.
+        mottle: the same of what is coarse, relative, over the whole picture; see `mottle`.
     """
 
     rms: Array
     scatter: Array
+    mottle: float
 
 
 def towards_truth(
@@ -241,13 +247,35 @@ def error_of(noisy: Array, done: Array) -> Error:
     picture = done.mean(axis=0)
     mean = float(np.abs(picture).mean(dtype=np.float64))
     if mean == 0.0:
-        return Error(np.zeros_like(picture), np.zeros_like(picture))
+        return Error(np.zeros_like(picture), np.zeros_like(picture), 0.0)
     level = np.maximum(np.clip(_blurred(picture, 1.0), picture / NEAR, picture * NEAR), 0.05 * mean)
     left, noise, kept = noisy.mean(axis=0) - picture, 0.5 * (noisy[0] - noisy[1]), 0.5 * (done[0] - done[1])
     square, scatter = (left * left - noise * noise + 2.0 * noise * kept) / level**2, (kept / level) ** 2
     ratio = _ratio(square, scatter)
     scatter = level * np.sqrt(_blurred(scatter, ERROR_BLUR_PX))
-    return Error(np.sqrt(ratio) * scatter, scatter)
+    return Error(np.sqrt(ratio) * scatter, scatter, mottle(done))
+
+
+def mottle(halves: Array, level: Array | None = None) -> float:
+    """How much of a picture's error the eye takes for clouds: its relative standard deviation at low frequencies.
+
+    The RMS over the picture of (a - b) / 2 over (a + b) / 2, both after a Gaussian blur of 1/MOTTLE_WIDTHS of the
+    width; the brightest hundredth is capped, so that a lamp's own noise does not count for the street.  1 % is hardly
+    seen, 2 % is seen in skies and fog.
+
+    Args:
+        halves: (2, H, W) luminance a and b of two independent halves of the samples, denoised or not.
+        level: (H, W) luminance of the whole picture of which they are a part; theirs where None.
+    """
+    whole = halves.max(axis=0) if level is None else level
+    cap = np.float32(np.percentile(whole, 99.0))
+    capped = np.minimum(halves, cap)
+    sigma = max(halves.shape[2] / MOTTLE_WIDTHS, LEAST_MOTTLE_PX)
+    step = max(1, int(sigma / 4))
+    a, b = (_blurred(binned(half[..., None], step), sigma / step) for half in capped)
+    level = 0.5 * (a + b) if level is None else _blurred(binned(np.minimum(level, cap)[..., None], step), sigma / step)
+    floor = max(1e-3 * float(np.abs(level).mean(dtype=np.float64)), 1e-30)
+    return float(np.sqrt(np.mean((0.5 * (a - b) / np.maximum(level, floor)) ** 2, dtype=np.float64)))
 
 
 def _ratio(square: Array, scatter: Array) -> np.float32:

@@ -330,7 +330,7 @@ class _Merged:
             mean = sum(sums.sum(axis=0, dtype=np.float64) for sums in aovs.values()) / number
             squares = (self.variance[name] * np.maximum(number - 1.0, 1.0) + mean**2) * number
             estimators[name] = Estimator(aovs, squares, [group * number for group in self.groups[name]], counts)
-        return Accumulator(estimators, self.lost, self.weights)
+        return Accumulator(estimators, self.lost, weights=self.weights)
 
 
 class _MeanGuides:

@@ -36,7 +36,7 @@ from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
-from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached, times_needed
+from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
 from synfog_usd.render.spectra.choose import choose_bands
 from synfog_usd.scene import Camera, SceneDict
@@ -75,6 +75,8 @@ class Rendered:
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one. They add up to the radiance
             where that was denoised.
         model, why: which model it was, and why that one.
+        mottle: what is left of clouds in a denoised picture, relative, see `dualbuffer.mottle`; None where nothing was
+            denoised, and of a draft.
         relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
         warnings: what went wrong on the way, in words.
         figures: what `choose_bands` measured; empty where bands were given.
@@ -88,6 +90,7 @@ class Rendered:
     radiance: Image
     aovs: aovs.Aovs
     relative_error: float
+    mottle: float | None
     components: Mapping[str, np.ndarray]
     error: np.ndarray | None
     groups: Mapping[str, np.ndarray]
@@ -110,6 +113,7 @@ class Settings:
         seed: the same gives the same bytes in the same variant.
         size: (width, height) in pixels instead of the camera's own.
         target_error: relative standard error of a pixel at which sampling stops, or None.
+        target_mottle: clouds that may be left in a denoised picture, relative, see `dualbuffer.mottle`; or None.
         sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `sampling.adaptive.sensor_target`, or
             None.
         time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does
@@ -133,6 +137,7 @@ class Settings:
     seed: int = 0
     size: tuple[int, int] | None = None
     target_error: float | None = None
+    target_mottle: float | None = None
     sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None
     time_limit_s: float | None = None
     scatterings: int | None = None
@@ -152,7 +157,7 @@ class Settings:
     @property
     def target(self) -> Target:
         """What is good enough."""
-        return Target(self.target_error, self.sensor_sigma, self.samples, self.time_limit_s)
+        return Target(self.target_error, self.sensor_sigma, self.samples, self.time_limit_s, self.target_mottle)
 
 
 def picture_bytes(scene: SceneDict, settings: Settings) -> int:
@@ -355,7 +360,7 @@ def sample(
         if denoised and rms is not None:
             luminance, error = denoised.luminance(accumulated.weights).ravel(), rms.ravel()
             if not target.open:
-                wanted = spent * times_needed(target.excess(luminance.reshape(shape[:2]), denoised.error))
+                wanted = spent * max(target.times_needed(luminance.reshape(shape[:2]), denoised.error), 1.0)
             met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
         else:
             luminance, error = accumulated.luminance(), np.sqrt(noise)
@@ -418,6 +423,7 @@ def sample(
             radiance,
             seen,
             relative_error,
+            denoised.error.mottle if denoised and denoised.error else None,
             components,
             rms,
             groups,

@@ -50,7 +50,7 @@ SECTIONS = (
     "exposure",
     "splits",
 )
-QUALITY = ("model", "samples", "target_error", "bands", "denoise", "regularize", "cull")
+QUALITY = ("word", "model", "samples", "target_error", "bands", "denoise", "regularize", "cull")
 EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
 """Key of a set's exposure -> what `BakePlan` calls it."""
 HELD_OUT = ("models", "recipes", "skies")
@@ -360,8 +360,11 @@ class _SetReader:
         return width, height
 
     def quality(self, item: Located) -> dict[str, Any]:
+        if isinstance(item.value, str):
+            return {"quality": self.quality_word(item)}
         found = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
         kinds = {
+            "word": (str, "a word"),
             "model": (str, "a name"),
             "samples": (int, "a whole number"),
             "target_error": (float, "a number"),
@@ -383,13 +386,22 @@ class _SetReader:
                     numbers.check_target(error=value, time_limit_s=None)
                 elif key == "bands":
                     numbers.check_bands(value)
+                elif key == "word":
+                    numbers.check_quality(value)
                 elif key == "model":
                     from synfog_usd.render.models import check_name
 
                     check_name(value)
             except ParameterError as error:
                 raise SetError(f"{place}: quality.{key}: {error}") from error
-        return found
+        return found | ({"quality": found.pop("word")} if "word" in found else {})
+
+    def quality_word(self, item: Located) -> str:
+        try:
+            numbers.check_quality(item.value)
+        except ParameterError as error:
+            raise SetError(f"{item.place}: quality: {error}") from error
+        return str(item.value)
 
     def exposure(self, item: Located) -> dict[str, float]:
         found: dict[str, float] = {}

@@ -13,7 +13,7 @@ from typing import Any
 
 from synfog_usd import resources
 from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS
-from synfog_usd.numbers import BANDS, MOST_EV, RGB, SAMPLES
+from synfog_usd.numbers import BANDS, MOST_EV, QUALITIES, RGB, SAMPLES
 from synfog_usd.render.models import AUTO, MODELS
 from synfog_usd.sets.definition import (
     HELD_OUT,
@@ -99,10 +99,11 @@ def _sections() -> dict[str, Any]:
             "description": "Width and height in pixels; the stage's own if left out.",
         },
         "quality": {
-            "type": "object",
+            "type": ["string", "object"],
             "additionalProperties": False,
-            "description": "When a shot is good enough, as options of bake.",
+            "description": "When a shot is good enough: a word of bake's --quality, or options of bake.",
             "properties": {
+                "word": {"enum": list(QUALITIES)},
                 "model": {"enum": [AUTO, *MODELS]},
                 "samples": {"type": "integer", "minimum": SAMPLES[0], "maximum": SAMPLES[1]},
                 "target_error": {"type": "number", "exclusiveMinimum": 0, "maximum": 1},

@@ -197,7 +197,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds
             shot.render(
                 source,
                 model=chosen,
-                samples=numbers.MOST_SAMPLES,
+                samples=numbers.QUALITIES["sensor"].samples,
                 seed=seed,
                 loaded=loaded,
                 denoise=True,

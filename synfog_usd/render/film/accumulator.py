@@ -23,6 +23,7 @@ from synfog_usd import numbers
 from synfog_usd.arrays import Array, FloatArray, Indices
 from synfog_usd.progress import Progress, silent, within
 from synfog_usd.render import backend
+from synfog_usd.render.dualbuffer import mottle
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.seeds import seed32
 
@@ -96,12 +97,6 @@ ESTIMATOR_COST = {
 }
 """Seconds of a path of each estimator, relative; measured at dusk within a factor of 2 (motorway, residential street,
 crossing), and fixed, so that the same seed gives the same bytes."""
-
-AIR = (INSCATTERED, INSCATTERED_OF_LAMPS)
-"""Estimators of light that varies slowly over the picture, of which denoising takes more of the noise."""
-
-SMOOTH = 0.25
-"""Part of its variance by which an estimator of `AIR` counts where the picture will be denoised."""
 
 SHARE_PX = 2
 """Side of the squares in which light groups are kept and denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the
@@ -257,11 +252,13 @@ class Accumulator:
     Attributes:
         estimators: name -> sums; estimators are independent of each other.
         lost: samples that were not finite and count as zero.
+        shape: (H, W) of the picture.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
     """
 
     estimators: dict[str, Estimator]
     lost: int = 0
+    shape: tuple[int, int] = (0, 0)
     weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
 
     def mean(self) -> Array:
@@ -299,6 +296,16 @@ class Accumulator:
                 if component == (LIT if name == LIT else aov):
                     halves += sums / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
         return halves
+
+    def luminance_halves(self, *names: str) -> FloatArray:
+        """(2, H, W) luminance of some estimators' light in each half; of all where none is named."""
+        halves = np.zeros((HALVES, self.pixels), dtype=np.float32)
+        weights = np.asarray(self.weights, dtype=np.float32)
+        for name in names or self.estimators:
+            estimator = self.estimators[name]
+            number = np.maximum(estimator.counts, 1).astype(np.float32)
+            halves += sum(sums @ weights for sums in estimator.aovs.values()) / number
+        return halves.reshape(HALVES, *self.shape)
 
     def component_halves(self, height: int, width: int) -> dict[str, Callable[[], FloatArray]]:
         """What makes (2, H, W, C) of each of `COMPONENTS`, and of `LIT` apart from the surfaces' other light; one by
@@ -368,8 +375,7 @@ def accumulate_by_estimator(
         samples: paths per pixel, >= 2 (one has no variance), on the average of the estimators, weighted by what they
             cost: more of the one that is noisier.
         seed: of this image; the same gives the same numbers in the same variant.
-        denoised: whether it will be, see `SMOOTH`; then few samples are the most that an estimator gets, and light
-            groups are kept in squares.
+        denoised: whether it will be; then light groups are kept in squares, and rounds may be short.
         progress: told after each pass.
     """
     pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
@@ -403,8 +409,9 @@ def allocation(
     """How many more samples each estimator should get, at the cost of `samples` of each in all.
 
     n ~ sqrt(variance / cost) evens out variance per second (Neyman's allocation).  Pixels count by their relative
-    variance, the noisiest hundredth left out, so that no single firefly decides.  What will be denoised counts by
-    `SMOOTH`.  The first samples are spread evenly, and later ones come in whole pairs or runs of CHUNK.
+    variance, the noisiest hundredth left out, so that no single firefly decides; what will be denoised counts by its
+    variance at low frequencies.  The first samples are spread evenly,
+    and later ones come in whole pairs or runs of CHUNK.
 
     Args:
         pixels: (N,) those that count; all of them where None.
@@ -415,8 +422,10 @@ def allocation(
     if len(have) == 1 or min(have.values()) < HALVES:
         return {name: max(samples - count, 0) for name, count in have.items()}
     weight = {
-        name: max(math.sqrt(value * (SMOOTH if denoised and name in AIR else 1.0) / ESTIMATOR_COST[name]), 1e-6)
-        for name, value in _relative_variances(accumulated, pixels).items()
+        name: max(math.sqrt(value / ESTIMATOR_COST[name]), 1e-6)
+        for name, value in (
+            _coarse_variances(accumulated) if denoised else _relative_variances(accumulated, pixels)
+        ).items()
     }
     budget = samples * sum(ESTIMATOR_COST[name] for name in weight)
     spent = sum(ESTIMATOR_COST[name] * count for name, count in have.items())
@@ -439,6 +448,17 @@ def _filled(weight: Mapping[str, float], have: Mapping[str, int], budget: float)
         if not over:
             return {name: float(have[name]) if name in fixed else unit * weight[name] for name in weight}
         fixed |= over
+
+
+def _coarse_variances(accumulated: Accumulator) -> dict[str, float]:
+    """Relative variance of one sample of each estimator at low frequencies, which denoising leaves; by both halves."""
+    shape = accumulated.shape
+    level = np.maximum(accumulated.luminance(), 0.0).reshape(shape)
+    found = {}
+    for name, estimator in accumulated.estimators.items():
+        halves = accumulated.luminance_halves(name)
+        found[name] = mottle(halves, level) ** 2 * float(estimator.counts.sum(axis=0).mean())
+    return found
 
 
 def _relative_variances(accumulated: Accumulator, pixels: Indices | None) -> dict[str, float]:
@@ -480,6 +500,7 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
 
     return Accumulator(
         {estimator: empty(estimator) for estimator in integrator.estimators},
+        shape=(camera.height_px, camera.width_px),
         weights=bands.weights,
     )
 

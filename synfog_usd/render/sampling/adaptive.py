@@ -14,9 +14,10 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.progress import Progress, silent, within
-from synfog_usd.render.dualbuffer import Error
+from synfog_usd.render.dualbuffer import Error, mottle
 from synfog_usd.render.film.accumulator import (
     CHUNK,
+    HALVES,
     Accumulator,
     Integrator,
     accumulate_by_estimator,
@@ -32,8 +33,9 @@ DENOISER_GAIN = 10.0
 to seed 3 to 7 times.
 """
 
-TRIED = 2.0
-"""Times the samples from which on it is tried that are enough, about; 1.2 to 2.4 on streets in fog, by day."""
+RAW_MOTTLE = 1.0
+"""Mottle of a denoised picture over that of its raw samples, about: 0.8 on a residential street at dusk,
+1.4 on a motorway."""
 
 FIRST = 8
 """Samples of the first round of a picture that is to be denoised: four in each half.
@@ -42,10 +44,11 @@ With eight, the error is told 0.81 to 1.45 times the true one on bench stages an
 times, and they cost nearly the same.
 """
 
-FALL, CLEAR_FALL = 0.4, 0.13
-"""A denoised picture's error falls as this power of its samples, about: 0.3 to 0.5 on the crossing from 4 to 16; in
-clear air, from 8 on, 0.08 to 0.26 on four streets.
-"""
+FALL = 0.4
+"""A denoised picture's error falls as this power of its samples, about: 0.3 to 0.5 on the crossing from 4 to 16."""
+
+LEAST_STRIDE = 1.25
+"""Times the samples that it has which a picture gets in another round at least."""
 
 LONGEST_STRIDE = 4.0
 """Times the samples that it has which a picture is given at most once its own error has been looked at."""
@@ -64,6 +67,7 @@ class Target:
     Attributes:
         relative: standard error of a pixel's luminance over it, or None.
         sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
+        mottle: what may be left of clouds in a denoised picture, see `dualbuffer.mottle`; or None.
         samples: most paths per pixel, on average over the image.
         time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte
             for byte.
@@ -73,11 +77,12 @@ class Target:
     sigma: Callable[[Array], Array] | None = None
     samples: int = 64
     time_s: float | None = None
+    mottle: float | None = None
 
     @property
     def open(self) -> bool:
         """Whether the number of samples is the only thing that counts."""
-        return self.relative is None and self.sigma is None and self.time_s is None
+        return self.relative is None and self.sigma is None and self.time_s is None and self.mottle is None
 
     def allowed(self, luminance: Array) -> Array:
         """Standard error [cd m-2] that is good enough for each pixel."""
@@ -101,6 +106,11 @@ class Target:
         """
         whole = float(np.median(error.rms / self.allowed_in_all(luminance)))
         return whole if self.sigma is None else max(whole, float(np.median(error.scatter / self.allowed(luminance))))
+
+    def times_needed(self, luminance: Array, error: Error) -> float:
+        """How many times its samples a denoised picture needs, about; 1 or less where it is good enough."""
+        whole = 1.0 if self.relative is None and self.sigma is None else times_needed(self.excess(luminance, error))
+        return whole if self.mottle is None else max(whole, (error.mottle / self.mottle) ** 2)
 
 
 def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -173,35 +183,39 @@ def accumulate_denoised(
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
     if target.open:
         return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
-    pixels = integrator.loaded.source.camera.width_px * integrator.loaded.source.camera.height_px
+    camera = integrator.loaded.source.camera
+    pixels = camera.width_px * camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
-    spent = min(FIRST, target.samples)
-    share = spent / target.samples  # of the work, as far as is known
-    for number in rounds(spent, denoised=True):
-        more = allocation(accumulated, number, denoised=True)
-        add_samples(accumulated, integrator, everywhere, more, seed, within(progress, 0.0, share * number / spent))
-    while spent < target.samples and (target.time_s is None or now() < target.time_s):
-        noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
-        needed = float(noise / DENOISER_GAIN) ** 2  # times the samples that there are, until denoising is worth a try
-        enough = min(TRIED * needed * spent, float(target.samples))
-        if needed < 1.0 and (picture := denoised(accumulated)) is not None:
-            excess = target.excess(*picture)
-            if excess <= 1.0:
-                break
-            needed = times_needed(excess)
-            if integrator.foggy:
-                enough = min(needed * spent, enough)
-            else:
-                enough = min(excess ** (1.0 / CLEAR_FALL) * spent, float(target.samples))
-            needed = min(needed, LONGEST_STRIDE)
-        after = min(max(2, math.ceil(min(needed, target.samples))) * spent, target.samples)
-        more = allocation(accumulated, after, denoised=True)
-        part = min((after - spent) / max(enough - spent, 1.0), LAST) if after < target.samples else 1.0
-        reach = share + (1.0 - share) * part
-        add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
+    spent, share = 0, 0.0  # samples, and the part of the work that they are, as far as is known
+    after = min(FIRST, target.samples)
+    reach = after / target.samples
+    while True:
+        for number in rounds(after, denoised=True) if spent == 0 else (after,):
+            more = allocation(accumulated, number, denoised=True)
+            add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
         spent, share = after, reach
+        if spent >= target.samples or (target.time_s is not None and now() >= target.time_s):
+            break
+        needed = _times_before_denoising(accumulated, target)
+        if needed <= 1.0 and (picture := denoised(accumulated)) is not None:
+            needed = target.times_needed(*picture)
+            if needed <= 1.0:
+                break
+            needed = min(needed, LONGEST_STRIDE)
+        after = min(math.ceil(spent * max(needed, LEAST_STRIDE) / HALVES) * HALVES, target.samples)
+        part = LAST if after < target.samples else 1.0
+        reach = share + (1.0 - share) * part
     progress("rendering", 1.0)
     return accumulated
+
+
+def _times_before_denoising(accumulated: Accumulator, target: Target) -> float:
+    """How many times its samples a picture needs until denoising it is worth a try, about, by its raw halves."""
+    noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
+    needed = float(noise / DENOISER_GAIN) ** 2
+    if target.mottle is not None:
+        needed = max(needed, (RAW_MOTTLE * mottle(accumulated.luminance_halves()) / target.mottle) ** 2)
+    return needed
 
 
 def times_needed(excess: float) -> float:
