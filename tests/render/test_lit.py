@@ -9,7 +9,7 @@ import pytest
 from support.stats import assert_agree, assert_mean
 
 from synfog_usd.render import backend, models
-from synfog_usd.render.film.accumulator import INSCATTERED, LIT, SURFACE, add_samples, new_accumulator
+from synfog_usd.render.film.accumulator import LIT, SURFACE, SURFACE_OF_LAMPS, add_samples, new_accumulator
 from synfog_usd.render.shot import load
 from synfog_usd.testing import black, scene, sky, uniform_fog, wall
 
@@ -143,7 +143,7 @@ def both(source, samples, seeds, **how):
     """(seeds, ...) surfaces of pictures with that estimator, and where paths find the same light on their way."""
     integrator = models.make("path", load(source, boundaries=False), **how)
     found = []
-    for names in ((SURFACE, LIT), (SURFACE,)):
+    for names in ((SURFACE, SURFACE_OF_LAMPS, LIT), (SURFACE, SURFACE_OF_LAMPS)):
         integrator.estimators = tuple(name for name in integrator.estimators if name != LIT or LIT in names)
         runs = [sum(part.mean() for part in drawn(integrator, names, samples, seed)) for seed in range(seeds)]
         found.append(np.array(runs).reshape(seeds, SIDE_PX, SIDE_PX, -1))
@@ -180,12 +180,3 @@ def test_light_groups_share_it_and_the_same_seed_gives_the_same_bytes():
     assert not np.array_equal(one.aovs[SURFACE], other.aovs[SURFACE])
     assert all(group.sum() > 0.0 for group in one.groups[:2])
     np.testing.assert_allclose(sum(one.groups), one.total(SURFACE), rtol=1e-4, atol=1e-4)
-
-
-def test_few_samples_that_will_be_denoised_go_to_lamps_on_the_first_surface():
-    """Of four: two of what else the surfaces show and of the air, eight of these; both halves of two have one."""
-    integrator = models.make("path", load(room((uniform_fog(200.0, visibility_m=MOR_M),)), boundaries=False))
-    shares = new_accumulator(integrator, 1).even
-    denoised = shares(4, denoised=True)
-    assert (denoised[SURFACE], denoised[LIT], denoised[INSCATTERED]) == (2, 8, 2)
-    assert shares(2, denoised=True)[SURFACE] == 2 and set(shares(4).values()) == {4}

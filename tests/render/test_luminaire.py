@@ -106,7 +106,12 @@ def test_the_emitter_and_the_table_agree_in_all_directions():
     way = draw.normal(size=(4000, 3))
     way /= np.linalg.norm(way, axis=1)[:, None]
     part = lamp(matrix, columns=720, scale=(1.0, 2.0, 0.5))
-    parts = {**part, "bitmap": mi.Bitmap(part["bitmap"]), "to_world": mi.ScalarTransform4f(matrix)}
+    parts = {
+        **part,
+        "type": backend.plugin_name(photometric.TYPE),
+        "bitmap": mi.Bitmap(part["bitmap"]),
+        "to_world": mi.ScalarTransform4f(matrix),
+    }
     it = dr.zeros(mi.SurfaceInteraction3f, len(way))
     it.p = mi.Point3f((matrix[:3, 3] + 3.0 * way).T)
     _, found = mi.load_dict(parts).sample_direction(it, mi.Point2f(0.5), True)
