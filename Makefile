@@ -15,7 +15,7 @@ TESTS  := $(BIN)/python -m pytest -n 2 --dist loadfile
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
-	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --samples 4
+	$(BIN)/synfog-usd bake stages/crossroads.usda -o $(OUT) --resolution 640x360 --quality draft
 
 # Six scenes in two lightings and four fogs, 320 x 180, with a gallery and as COCO: what a data set is like, in minutes.
 dataset: setup llvm
