@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from support.renders import by_seed
-from support.stats import assert_mean
+from support.stats import assert_agree, assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend, models
 from synfog_usd.render.film.accumulator import LAMPS, add_samples, new_accumulator
+from synfog_usd.render.integrators import next_event
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.grid import LightDistribution
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.shot import load
 from synfog_usd.testing import black, box, scene, wall
@@ -141,22 +141,6 @@ def test_three_channels_of_a_table_keep_their_colours():
     assert len({int(number) for number in rows["table"]}) == 2
 
 
-def test_chances_by_place_are_what_is_drawn():
-    """Two rows of three lamps: shares of 10^6 draws are the stated chances within five standard errors, and none is
-    below its floor.
-    """
-    backend.start("auto")
-    mi = backend.mitsuba()
-    choice = LightDistribution(np.array([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]]), np.array([0.2, 0.3, 0.5]))
-    u = (np.arange(1_000_000) + 0.5) / 1_000_000
-    wanted = {0: 0.85 * np.array([0.25, 0.0, 0.75]) + 0.15 * np.array([0.2, 0.3, 0.5]), 1: np.array([0.2, 0.3, 0.5])}
-    for row, chances in wanted.items():
-        index, chance = choice.sample(mi.UInt32(row), mi.Float(u.astype(np.float32)), mi.Bool(True))
-        index, chance = np.array(index), np.array(chance)
-        np.testing.assert_allclose(np.bincount(index, minlength=3) / len(u), chances, atol=2e-6)  # even steps of u
-        np.testing.assert_allclose(chance, chances[index], rtol=1e-6)
-
-
 def street_at_night(count):
     """A ground, a wall and `count` lamps along both sides, 1.5 m above a slab of fog: beside a lamp in fog `volpath`
     has no finite variance.
@@ -180,10 +164,21 @@ def street_at_night(count):
     return scene(world, [fog], fov_x_deg=60.0)
 
 
+@pytest.mark.slow
+def test_lamps_that_are_weighed_and_lamps_drawn_by_flux_give_the_same_light(monkeypatch):
+    """20 lamps with tables: four drawn by what all matter to a place, or by flux and peak; the same mean within five
+    standard errors, 5 % resolved.
+    """
+    weighed = by_seed(street_at_night(20), range(6), samples=256, model="path")
+    monkeypatch.setattr(next_event, "MOST_WEIGHED", 0)
+    drawn = by_seed(street_at_night(20), range(6), samples=1024, model="path")
+    assert_agree(*([run.radiance.pixels for run in runs] for runs in (weighed, drawn)), resolves=0.05)
+
+
 @pytest.mark.physics
 @pytest.mark.parametrize("count", [4, 20])
 def test_path_agrees_with_volpath_among_lamps_with_tables(count):
-    """A few lamps, which are all asked, and many, of which some are drawn by place: the same mean within five standard
+    """A few lamps, which are all asked, and many, of which some are drawn: the same mean within five standard
     errors, 3 % resolved.
     """
     runs = {

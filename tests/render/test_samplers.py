@@ -15,7 +15,6 @@ from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
 from synfog_usd.render.lights import sampler as light_sampler
-from synfog_usd.render.lights.grid import FLOOR, LightDistribution
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.testing import box
@@ -75,21 +74,6 @@ def street():
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [900.0] * 3}},
         },
     }
-
-
-def test_a_lamp_is_chosen_by_place_as_its_chance_says(mi):
-    """17 lamps in three rows, one of which knows nothing: as often as the mixture of knowledge and of what knows no
-    place.
-    """
-    draw = np.random.default_rng(6)
-    weights, even = draw.exponential(size=(3, 17)) ** 3, draw.exponential(size=17)
-    weights[2], even = 0.0, even / even.sum()
-    chosen = LightDistribution(weights, even)
-    for row, known in enumerate([*(weights[:2] / weights[:2].sum(axis=1, keepdims=True)), even]):
-        index, chance = chosen.sample(dr.full(mi.UInt32, row, COUNT), uniform(mi, 7 + row), mi.Bool(True))
-        expected = (1.0 - FLOOR) * known + FLOOR * even
-        np.testing.assert_allclose(np.array(chance), expected[np.array(index)], rtol=1e-5)
-        assert_draws(np.bincount(np.array(index), minlength=17), expected)
 
 
 class Draws:

@@ -1,4 +1,4 @@
-"""The eye: rays through points, pixels and tiles of a view, in traced code."""
+"""The eye: rays through points and pixels of a view, in traced code."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import drjit as dr
 
 from synfog_usd.render import backend
 from synfog_usd.render.film.raster import Raster
-from synfog_usd.render.lights.grid import TILES
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.motion import moved
 
@@ -50,10 +49,3 @@ class Eye:
         if camera.moves:
             ray = moved(ray, camera, place.y, sampler.next_1d(active))
         return ray, weight
-
-    def tile(self, pixel: Any) -> Any:
-        """Number of the tile of the view in which pixels lie."""
-        raster = self.raster
-        return pixel % raster.width * TILES[0] // raster.width + TILES[0] * (
-            pixel // raster.width * TILES[1] // raster.height
-        )

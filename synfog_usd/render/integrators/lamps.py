@@ -33,7 +33,6 @@ def trace_lamps(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> M
     corner, bands = of.eye.raster.corner(pixel), of.bands
     single, lost = bands.black(), mi.UInt32(0)
     sums = of.light_groups.begun()
-    known = None if of.asks[True].view is None else (of.asks[True].view, of.eye.tile(pixel))
     begun = mi.UInt32(0)
     while begun < wanted:
         sampler = Sobol(image_seed, pixel, first + begun)
@@ -41,7 +40,9 @@ def trace_lamps(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> M
         si = of.loaded.tree.ray_intersect_preliminary(ray, False)
         near, far = of.medium.intersect(ray.o, ray.d)
         stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
-        light, group = of.asks[True].along(ray, near, stop, bands.even(weight), sampler, stop > near, known)
+        lit = stop > near
+        known = of.asks[True].known_along(ray, near, stop, sampler, lit)
+        light, group = of.asks[True].along(ray, near, stop, bands.even(weight), sampler, lit, known)
         finite = dr.all(dr.isfinite(light))
         light = dr.select(finite, light, 0.0)
         single += light

@@ -15,9 +15,7 @@ import drjit as dr
 import numpy as np
 
 from synfog_usd.render import backend
-from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups
-from synfog_usd.render.lights.grid import LightGrid
 from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks, emitter_index
 from synfog_usd.render.lights.panes import Panes
 from synfog_usd.render.lights.rows import is_sampled_light
@@ -29,7 +27,7 @@ from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.surface import lit_from
 
 MOST_WEIGHED = 160
-"""Lamps that are all weighed for each stretch and point; of more, those are asked that matter in the place's cell."""
+"""Lamps that are all weighed for each stretch and point; of more, some are drawn by flux and peak."""
 
 LEAST_CHANCE = 0.15
 """Of a lamp and of the scene's own choice to be asked, where both shine: what a surface makes of them is known in short
@@ -75,7 +73,6 @@ class NextEvent:
             With none of them it is the scene's own choice that is asked, for all other light.
         others: how many other lights there are but the environment.  Where there are none, a scattering in the fog
             sends them no shadow ray: the phase function's own sample finds a sky better.
-        eye: the camera.
         groups: the lights' groups and kinds.
         lamp_faces: see `lamp_faces`; None where all light counts.
 
@@ -86,7 +83,6 @@ class NextEvent:
         sky: how surfaces choose directions to it; None where the scene's own choice does.
         visible: faces of lamps that the eye sees; None without.
         panes: what shadow rays pass; None without, or without lamps: paths find a sky behind them as well.
-        view: chances of the lamps by tile of the view; None without.
     """
 
     def __init__(
@@ -96,7 +92,6 @@ class NextEvent:
         lights: LightSampler,
         *,
         others: int,
-        eye: Eye,
         groups: LightGroups,
         lamp_faces: Any = None,
     ) -> None:
@@ -114,12 +109,6 @@ class NextEvent:
         self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
         self.visible = VisibleFaces.of(loaded) if lights.count else None
         self.panes = Panes.of(loaded) if lights.count else None
-        self.grid, self.view = None, None
-        if lights.count and lights.many and lights.photometric:
-            sigma_t = medium.volumes[0].medium.sigma_t_per_m if medium.foggy else 0.0
-            place = loaded.source.camera.to_world[:3, 3].copy()
-            self.grid = LightGrid(lights, sigma_t, place, near=self.importance is None)
-            self.view = self.grid.seen(eye, medium) if medium.foggy else None
 
     def face_pdf(self, lamp: Any, area_pdf: Any, end: Any, place: Any, gloss: Gloss, weighed: Any) -> Any:
         """Density [1/sr] with which a surface at `place` draws a point of a lamp's face as one of `PICKS`.
@@ -134,23 +123,16 @@ class NextEvent:
         return chance * area_pdf * dr.squared_norm(end.p - place) / dr.maximum(cosine, 1e-6)
 
     def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
-        """Which lamps to ask about a segment, where there are too many to ask them all."""
-        if self.importance is not None:
-            return self.importance.draw(
-                lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active
-            )
-        if self.grid is None:
+        """Which lamps to ask about a segment; None where all are asked, or too many to be weighed."""
+        if self.importance is None:
             return None
-        tau = dr.minimum(-dr.log(1.0 - sampler.next_1d(active)), 3.0)
-        return self.known_near(ray(self.medium.sample_distance(ray.o, ray.d, tau, near, stop)))
+        return self.importance.draw(
+            lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active
+        )
 
     def known_at(self, place: Any, gloss: Gloss, sampler: Any, active: Any) -> Picks:
         """Which lamps to ask about a point of a surface."""
         return self.importance.draw(lambda index: self.importance.at(index, place, gloss), sampler, active)
-
-    def known_near(self, place: Any) -> Any:
-        """Chances of the lamps at points, from their cells."""
-        return None if self.grid is None else (self.grid.near, self.grid.cell(place))
 
     def along(
         self, ray: Any, near: Any, stop: Any, throughput: Any, sampler: Any, active: Any, known: Any
@@ -209,9 +191,7 @@ class NextEvent:
     ) -> tuple[Any, Any]:
         """A lamp's light on a surface as it is reflected, and the lamp's group."""
         context, black = backend.mitsuba().BSDFContext(), self.bands.black()
-        lamp, colour, group, pdf = self.lights.at(
-            si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth, self.known_near(si.p)
-        )
+        lamp, colour, group, pdf = self.lights.at(si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth)
         free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
         answering = lit_from(si, lamp, pdf <= 0.0, spread)
         reflected = bsdf.eval(context, answering, si.to_local(dr.normalize(lamp - si.p)), free)

@@ -139,7 +139,7 @@ class FogPath:
         lit, sky = self.lights.count > 0, self.loaded.scene.environment() is not None
         both = lit and (sky or others > 0)
         flags = lamp_faces(self.loaded) if both else None
-        how = {"eye": self.eye, "groups": self.light_groups}
+        how = {"groups": self.light_groups}
         asks = {}
         if not lit or both:
             none = LightSampler({}, {})

@@ -7,8 +7,8 @@ surface there makes of it.  All lights are asked in one loop, two gathers and an
 are drawn (weighted reservoirs, Chao 1982).  Shadows are not known to it, and no weight is 0, so what it has wrong is
 noise and no bias.
 
-Drawn from the cell of one random point of the stretch instead, as `grid` does it, a light near another part of the
-stretch has hardly any chance: at dusk in fog that was 86 % of all variance.
+All of the stretch counts: drawn by what matters to one random point of it, a light near another part has hardly any
+chance, and at dusk in fog that was 86 % of all variance.
 """
 
 from __future__ import annotations

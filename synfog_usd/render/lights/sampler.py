@@ -18,7 +18,6 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.grid import LightDistribution
 from synfog_usd.render.lights.importance import PICKS, Picks
 from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
 from synfog_usd.render.sampling.reservoir import Reservoir
@@ -28,9 +27,6 @@ MOST = 12
 
 DRAWN = PICKS
 """Of more lamps, this many are drawn for each stretch and point; each costs as much as half a ray."""
-
-Known = Picks | tuple[LightDistribution, Any] | None
-"""What tells which of many lamps to ask."""
 
 
 class LightSampler:
@@ -76,7 +72,6 @@ class LightSampler:
         self.width = dr.opaque(
             mi.Float, (1.0 - g) / np.sqrt(g)
         )  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
-        self.even = drawn / drawn.sum()
         self.many = self.count > MOST
         self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
         dr.make_opaque(self.begin)
@@ -89,7 +84,7 @@ class LightSampler:
             self.tables.append(table)
         return known[key]
 
-    def _candidate(self, number: Any, sampler: Any, active: Any, known: Known = None) -> tuple[Any, Any, Any]:
+    def _candidate(self, number: Any, sampler: Any, active: Any, known: Picks | None = None) -> tuple[Any, Any, Any]:
         """A point on a lamp: (position, its row, its probability among all that could have been asked)."""
         mi = backend.mitsuba()
         probability = mi.Float(1.0)
@@ -108,14 +103,11 @@ class LightSampler:
         position = row.position + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
         return position, row, probability
 
-    def _drawn(self, number: Any, sampler: Any, active: Any, known: Known) -> tuple[Any, Any]:
+    def _drawn(self, number: Any, sampler: Any, active: Any, known: Picks | None) -> tuple[Any, Any]:
         """One of many lamps, and its probability."""
-        if isinstance(known, Picks):
+        if known is not None:
             return known.at(number)
-        u = sampler.next_1d(active)
-        if known is None:
-            return self.choice.sample_pmf(u, active)
-        return known[0].sample(known[1], u, active)
+        return self.choice.sample_pmf(sampler.next_1d(active), active)
 
     def sent(self, row: LampRow, direction: Any) -> Any:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
@@ -140,7 +132,7 @@ class LightSampler:
         medium: Any,
         sampler: Any,
         active: Any,
-        known: Known = None,
+        known: Picks | None = None,
     ) -> tuple[Any, Any, Any, Any]:
         """One lamp's light scattered once along a stretch of a ray.
 
@@ -148,8 +140,7 @@ class LightSampler:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
             medium: the fog.
-            known: where there are many, those that are drawn (`Importance`), or chances and the row to take
-                (`LightGrid`); None to draw by flux and peak.
+            known: where there are many, those that are drawn (`Importance`); None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -201,7 +192,7 @@ class LightSampler:
 
     @dr.syntax
     def at(
-        self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Known = None
+        self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Picks | None = None
     ) -> tuple[Any, Any, Any, Any]:
         """One lamp's light on a point.
 
