@@ -191,7 +191,7 @@ def sensor_row(name: str, source: SceneDict, clear: SceneDict, model: str, seeds
     noise = functools.partial(camera.noise_floor, electrons_per_cd_m2=found[0], dark_noise_e=found[1])
     loaded = shot.load(source, boundaries=False, spectra=False)
     done: list[shot.Rendered] = []
-    for seed in range(seeds):  # the planner chooses once, as for a shot
+    for seed in range(seeds):
         chosen = done[0].model if done else model
         done.append(
             shot.render(

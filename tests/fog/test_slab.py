@@ -1,6 +1,6 @@
 """The plane-parallel solution, against truths that need no discrete ordinates, and against a library of them.
 
-Rationale: the slab serves as a control variate, so what counts is that radiance
+Rationale: path tracing is judged by the slab, so what counts is that radiance
 and source satisfy the transfer equation between them, at any height and up to
 the horizon.  Bounds are measured values times 3 or so, unless a line says more.
 """

@@ -1,1 +1,1 @@
-"""The estimators of light in fog: path tracing, froxels, the atmospheric scattering model, the glow of lamps."""
+"""The estimators of light in fog: path tracing, light of lamps on the camera's segment, and Mitsuba's own as peers."""
