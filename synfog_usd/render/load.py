@@ -234,7 +234,6 @@ def seen_by(loaded: MitsubaScene, camera: Camera) -> MitsubaScene:
         sensor=make_sensor(camera, loaded.camera_medium),
         offset=_offset(camera),
         source=replace(loaded.source, camera=camera),
-        open_to_sky={},
         light_samplers={},
         met_by_guides={},
     )
