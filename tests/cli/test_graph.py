@@ -237,7 +237,7 @@ def ran(done):
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     head = next(index for index, line in enumerate(lines) if line.startswith("node "))
-    rows = [line.split() for line in lines[head + 2 :] if re.match(r"\w+ +\w+\.\w+ ", line)]
+    rows = [line.split() for line in lines[head + 2 :] if re.match(r"\w+ +(optics|sensor|isp)\.", line)]
     assert all(row[2] == "cached" or float(row[2]) >= 0 for row in rows)
     return [row[0] for row in rows if row[2] != "cached"]
 
