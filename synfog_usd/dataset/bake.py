@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd import files, numbers, system
 from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibility
-from synfog_usd.dataset.forecast import SET_UP, SURE, Forecast, Kind, kinds, least_known_first
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.scenes import cleared, pinhole_of, size_of
@@ -40,8 +39,8 @@ if TYPE_CHECKING:
 OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
 """Files of a shot beside what its graph makes."""
 
-METERED = 0.01
-"""Part of a shot that is done when its lighting is metered."""
+METERED, SET_UP = 0.01, 0.03
+"""Parts of a shot that are done when metering begins, and when sampling does."""
 
 ALONE_PX = 1 << 20
 """Pixels of a picture beyond which memory comes before time: it is made without the scene, which is loaded anew for the
@@ -104,10 +103,8 @@ def bake(
     from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend
     from synfog_usd.render.film import aovs
-    from synfog_usd.render.film.accumulator import idle
     from synfog_usd.render.shot import Settings, check_memory, sampling_share
 
-    bake_began = time.monotonic()
     if session is None:
         session = begin(plan, None if plan.camera is None else [plan.camera], reading)
         plan = replace(plan, camera=one_camera(session))
@@ -118,8 +115,7 @@ def bake(
         every = shots(plan, usd.variants(stage))
         plan = replace(session.of(eye), out=plan.out)
         todo = tuple(shot for shot in every if lighting in (None, shot.lighting))
-        unsure = plan.samples > SURE
-        scenes.survey(every if plan.strict or unsure else [shot for shot in todo if shot.lighting == todo[0].lighting])
+        scenes.survey(every if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
 
     if plan.strict and any(note.severity == "warning" for note in scenes.notes(every)):
         raise StrictError(
@@ -137,29 +133,20 @@ def bake(
     metered = bool(camera.exposure_left_open(graph) or plan.meter_for) or (plan.exposure_s, plan.iso) != (None, None)
     metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
 
-    with system.only_writer(plan.out), backend.compiling_timed() as compiled_s:
+    with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger = Ledger(plan.out, metadata, scenes.notes(todo))
         ledger.light = scenes.light
         unfinished = [shot for shot in todo if not ledger.done(shot)]
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
-        if unsure:
-            unfinished = least_known_first(unfinished, scenes.lights)
         if kept:
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
         seconds: dict[str, float] = {}
         views: dict[str, _View] = {}  # by lighting
         lit = set[str]()  # lightings of which it was told how light they are
 
-        def expected() -> list[Kind]:
-            facts = [(shot.lighting, scenes.mor_m(shot), scenes.lights(shot.lighting)) for shot in unfinished]
-            return kinds(facts, plan.samples)
-
-        forecast = Forecast(expected(), began=bake_began, most=plan.samples)
-
         def share_done(index: int, fraction: float) -> float:
-            forecast.compiled(compiled_s())
-            return forecast.at(index, fraction)
+            return (index + fraction) / max(len(unfinished), 1)
 
         with reading():
             first = scenes.of(every[0])
@@ -173,10 +160,7 @@ def bake(
 
         def label(index: int) -> None:
             """After the shot of this number, and before the next; -1 before all."""
-            done = 0.0
-            if index >= 0:
-                done = share_done(index, 1.0)
-                forecast.ended()
+            done = share_done(index, 1.0)
             if plan.draft or ledger.labels_done():
                 return
 
@@ -189,23 +173,14 @@ def bake(
             seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
             ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced, loaded))
 
-        def finish(index: int, shot: Shot, picture: _Picture, began: float) -> None:
-            sampled = time.perf_counter()
+        def finish(shot: Shot, picture: _Picture, began: float) -> None:
             made = picture(silent)
-            if made.rendered.wanted is not None:
-                forecast.needed(index, made.rendered.wanted)
             row = _finish(made, graph, plan, specimen)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            forecast.made(time.perf_counter() - sampled)
             told = made.hidden.sentence(made.scene)
             for line in (*([told] if told else []), *row["warnings"]):
                 log(f"{shot.folder}: {line}")
-
-        def survey() -> None:
-            with reading():
-                scenes.survey(todo)
-            forecast.expect(expected())
 
         if alone or every[0] not in unfinished:
             label(-1)
@@ -246,18 +221,15 @@ def bake(
                 view = views.get(shot.lighting)
                 if alone:
                     behind.wait()
-                beside = survey if index == 1 and not alone else idle
-                spent, picture = _render(
-                    shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told, beside
-                )
-                forecast.spent(index, spent)
+                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
                 if alone:
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
-                behind.do(functools.partial(finish, index, shot, picture, began))
+                behind.do(functools.partial(finish, shot, picture, began))
                 if shot == every[0] and shot.fog == CLEAR:  # the scene is there, whole
                     label(index)
-        survey()
+        with reading():
+            scenes.survey(todo)
         notes = ledger.notes = scenes.notes(todo)
         if all(ledger.done(shot) for shot in every):
             notes = ledger.notes = scenes.notes(every)
@@ -458,13 +430,9 @@ def _render(
     taken: Pinhole | None,
     exposures: Mapping[str, tuple[float, float]],
     progress: Progress,
-    meanwhile: Callable[[], None],
-) -> tuple[float, _Picture]:
-    """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move;
-    `meanwhile` is done beside the first paths.
-
-    Returns:
-        samples of a pixel that were spent, and what makes its pictures.
+) -> _Picture:
+    """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
+    makes its pictures.
     """
     from synfog_usd import cull
     from synfog_usd.render.shot import sample
@@ -502,7 +470,7 @@ def _render(
     clear = view.seen if view and (hidden.triangles or same) else None
     share = 1.0 / (1 + len(moving))
     told = within(progress, 0.0, share)
-    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=told, meanwhile=meanwhile)
+    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=told)
     parts = {}
     for number, (name, part) in enumerate(moving.items(), 1):
         eye = replace(drawn.camera, exposes=part)
@@ -524,7 +492,7 @@ def _render(
         seen = seen or dict.fromkeys(exposures, whole.radiance)
         return _Shot(shot, scene, view, taken, whole, floor, bands, hidden, seen)
 
-    return rendered.samples, picture
+    return picture
 
 
 def _density(scene: SceneDict, taken: Pinhole | None) -> float:

@@ -5,11 +5,10 @@ Takes an opened stage, a plan and a graph; gives a scene for a shot, as wide and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd.dataset.forecast import Lights
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot
 from synfog_usd.errors import ImageError, StageError
 
@@ -17,9 +16,6 @@ if TYPE_CHECKING:
     from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.fisheye import Fisheye
     from synfog_usd.scene import Camera, Note, SceneDict
-
-UNREAD_MOR_M = 200.0
-"""Visibility of a fog that was not read yet, about [m]."""
 
 
 class Scenes:
@@ -73,24 +69,6 @@ class Scenes:
             return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog_mor_m=shot.mor_m))
         self.known[shot] = self.seen(scene)
         return self.known[shot]
-
-    def lights(self, lighting: str) -> Lights:
-        """What shines in a lighting; lamps may in one that was not surveyed yet."""
-        if lighting not in self.lightings:
-            return "lamps"
-        world = self.lightings[lighting].scene.world
-        if any("intensity" in part for name, part in world.items() if name.startswith("light_")):
-            return "lamps"
-        return "surfaces" if any("emitter" in part for part in world.values() if isinstance(part, Mapping)) else "sky"
-
-    def mor_m(self, shot: Shot) -> float | None:
-        """Visibility in a shot's fog [m], None in clear air; about, where no shot with this fog was read yet."""
-        if shot.fog == CLEAR:
-            return None
-        known = next((scene for other, scene in self.known.items() if other.fog == shot.fog), None)
-        if known is None:
-            return UNREAD_MOR_M
-        return next((volume.medium.visibility_m for volume in known.fog if volume.parent is None), None)
 
     def seen(self, scene: SceneDict) -> SceneDict:
         """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and

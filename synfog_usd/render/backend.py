@@ -17,7 +17,6 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -267,29 +266,6 @@ def plugin_name(name: str) -> str:
     Mitsuba loads plugins/<name>.so of the current folder, where there is one, before it asks what is registered.
     """
     return f"{name}_{'_' * 255}"
-
-
-@contextlib.contextmanager
-def compiling_timed() -> Iterator[Callable[[], float]]:
-    """Within it Dr.Jit keeps for how long it compiles kernels.
-
-    Yields:
-        what tells the seconds since it was asked before.  It is to be asked where nothing is under way, since it waits,
-        and often, since until then each launch keeps its kernel's text.
-    """
-    if is_scalar():
-        yield lambda: 0.0
-        return
-    import drjit as dr
-
-    def seconds() -> float:
-        return float(sum(kernel["backend_time"] for kernel in dr.kernel_history((dr.KernelType.JIT,)))) / 1000.0
-
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        try:
-            yield seconds
-        finally:
-            dr.kernel_history_clear()
 
 
 def let_go() -> None:

@@ -30,7 +30,6 @@ from synfog_usd.render.film.accumulator import (
     SURFACE,
     Accumulator,
     Squares,
-    idle,
 )
 from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.integrators.path import FogPath
@@ -83,8 +82,6 @@ class Rendered:
         samples: paths per pixel on average, as `Settings` means them.
         met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
             target.
-        wanted: samples with which the median pixel would have met the target, about, at least those it has where it did
-            not; None where nothing was denoised or there was no target.
     """
 
     radiance: Image
@@ -100,7 +97,6 @@ class Rendered:
     figures: Mapping[str, Mapping[str, float]]
     samples: float
     met: float | None
-    wanted: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,12 +250,9 @@ def sample(
     loaded: MitsubaScene | None = None,
     clear: aovs.Aovs | None = None,
     progress: Progress = silent,
-    meanwhile: Callable[[], None] = idle,
     **changes: Any,
 ) -> Sampled:
-    """The part of `render` that asks the renderer; arguments as there, and what may be done once while the first paths
-    of our own models are under way.
-    """
+    """The part of `render` that asks the renderer; arguments as there."""
     settings = replace(settings or Settings(), **changes)
     model, samples, seed, size, bands, denoise = (
         settings.model,
@@ -297,8 +290,6 @@ def sample(
         regularize=settings.regularize,
     )
     integrator = make(loaded)
-    if isinstance(integrator, FogPath):
-        integrator.meanwhile = meanwhile
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
 
@@ -356,11 +347,9 @@ def sample(
             denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem
             warnings.extend([problem] if problem else [])
             why += "" if denoised or problem else "; not denoised, since it tells no components apart"
-        rms, wanted = denoised.error.rms if denoised and denoised.error else None, None
+        rms = denoised.error.rms if denoised and denoised.error else None
         if denoised and rms is not None:
             luminance, error = denoised.luminance(accumulated.weights).ravel(), rms.ravel()
-            if not target.open:
-                wanted = spent * max(target.times_needed(luminance.reshape(shape[:2]), denoised.error), 1.0)
             met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
         else:
             luminance, error = accumulated.luminance(), np.sqrt(noise)
@@ -433,7 +422,6 @@ def sample(
             figures,
             spent,
             met,
-            wanted,
         )
 
     return Sampled(spent, picture)

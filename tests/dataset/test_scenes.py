@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -10,9 +9,8 @@ from support.stages import street
 
 from synfog_usd import camera
 from synfog_usd import stage as usd
-from synfog_usd.dataset.forecast import least_known_first
 from synfog_usd.dataset.plan import BakePlan, shots
-from synfog_usd.dataset.scenes import UNREAD_MOR_M, Scenes
+from synfog_usd.dataset.scenes import Scenes
 from synfog_usd.translate import assemble
 
 EXPOSED_TOO = ('        "mor150" {', '        "mor150" {\nover "Sky"\n{\nfloat inputs:exposure = 1\n}\n')
@@ -32,13 +30,6 @@ def scenes(tmp_path, text, graph=None, **plan):
     wanted = BakePlan(tmp_path / "street.usda", tmp_path / "out", size=(32, 18), **plan)
     stage = usd.open_stage(wanted.stage)
     return Scenes(stage, wanted, graph), shots(wanted, usd.variants(stage))
-
-
-def point(text):
-    """The street with its lamp a point."""
-    changed = re.sub(r"float inputs:radius = [0-9.]+", "bool treatAsPoint = true", text)
-    assert changed != text
-    return changed
 
 
 def test_a_lighting_is_translated_once(tmp_path, translations):
@@ -84,38 +75,3 @@ def test_a_lens_that_distorts_is_rendered_for_wider_and_denser(tmp_path):
     assert wide.width_px > 64 and wide.height_px > 36 and wide.fov_x_deg > narrow.fov_x_deg
     assert made.taken == (18, 32, narrow.fov_x_deg, narrow.shift)
     assert len({id(made.of(shot).world) for shot in todo if shot.lighting == todo[0].lighting}) == 1
-
-
-@pytest.mark.parametrize("lights", ["sky", "surfaces", "lamps"])
-def test_what_shines(tmp_path, lights):
-    """A sky alone, a shining sphere too, or a lamp that is a point; one may be where nothing was read yet."""
-    text = street(lamp=lights != "sky")
-    made, todo = scenes(tmp_path, point(text) if lights == "lamps" else text, fog=("clear",), lighting=("sky",))
-    assert made.lights("sky") == "lamps"
-    made.survey(todo)
-    assert made.lights("sky") == lights
-
-
-def test_how_thick_a_fog_is(tmp_path):
-    """The visibilities that were asked for, also in a lighting that was not read; about, where no such fog was."""
-    made, todo = scenes(tmp_path, street(), fog=("clear", "mor600", "mor75"))
-    assert [made.mor_m(shot) for shot in todo] == 2 * [None, UNREAD_MOR_M, UNREAD_MOR_M]
-    made.survey([shot for shot in todo if shot.lighting == "sky"])
-    assert [made.mor_m(shot) for shot in todo] == pytest.approx(2 * [None, 600.0, 75.0])
-
-
-def test_what_tells_much_of_others_is_made_first(tmp_path):
-    """Where shots stop by themselves: the middle one in fog without lamps, those before lamps, the rest; as they come
-    where nothing is lit, or everything.
-    """
-
-    def order(fog, lit):
-        _, todo = scenes(tmp_path, street(lamp=True), fog=fog)
-        ordered = least_known_first(todo, lambda lighting: "lamps" if lighting in lit else "sky")
-        return [todo.index(shot) for shot in ordered]
-
-    fogs = "clear", "mor600", "mor300", "mor150"
-    assert order(fogs, "active") == [2, 4, 5, 6, 7, 0, 1, 3]
-    assert order(fogs[:2], "active") == [1, 2, 3, 0]
-    assert order(fogs[:1], "active") == [0, 1]
-    assert order(fogs, "") == order(fogs, "sky active") == list(range(8))

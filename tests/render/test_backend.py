@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import shutil
 import subprocess
 import sys
@@ -99,28 +98,6 @@ def test_a_variant_is_proved_without_the_limits_under_which_a_stage_is_read():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "['']", done.stdout + done.stderr
-
-
-def test_seconds_of_compiling_are_told_once():
-    """A kernel that this process never had: more than nothing, then nothing; the same again takes what is compiled."""
-    mi = backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("no kernels here")
-    import drjit as dr
-
-    number = random.random()  # within the kernel's text, so that no cache on disk has it
-
-    def launch() -> None:
-        dr.eval(dr.arange(mi.Float, 100) * number)
-
-    before = dr.flag(dr.JitFlag.KernelHistory)
-    with backend.compiling_timed() as seconds:
-        launch()
-        assert 0.0 < seconds() < 60.0
-        assert seconds() == 0.0
-        launch()
-        assert seconds() == 0.0
-    assert dr.flag(dr.JitFlag.KernelHistory) == before and not dr.kernel_history()
 
 
 def test_cuda_without_a_driver_says_what_is_missing():

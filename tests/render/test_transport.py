@@ -303,26 +303,6 @@ def test_samples_that_are_added_in_parts_are_those_of_all_at_once():
         assert (estimator.counts == 32).all() and (estimator.lanes == 2 * 4).all()  # a half: 4, 10, 2, then 16
 
 
-def test_what_is_done_beside_the_first_paths_is_done_once_and_changes_no_byte():
-    """A task that asks the renderer itself, with a picture of two rounds: once, before any sample is added up."""
-    world = lamps_in_fog(0.87, BOX)
-    loaded, pictures, seen = load(world, boundaries=False), [], []
-    pixels = world.camera.width_px * world.camera.height_px
-
-    def task():
-        seen.append(found.samples)
-        loaded.scene.ray_test(backend.mitsuba().Ray3f([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
-
-    for meanwhile in (accumulator.idle, task):
-        integrator = models.make("path", loaded)
-        integrator.meanwhile = meanwhile
-        found = accumulator.new_accumulator(integrator, pixels)
-        for _ in range(2):
-            accumulator.add_samples(found, integrator, np.arange(pixels), found.even(2), 5)
-        pictures.append(found.mean().tobytes())
-    assert seen == [0] and pictures[0] == pictures[1]
-
-
 def test_light_groups_of_what_will_be_denoised_are_kept_in_squares_of_two_pixels():
     """They are the means of the pixels' own light by the same samples, at a border of one odd row and column too; what
     the eye sees of lamps stays pixel by pixel.

@@ -151,10 +151,6 @@ class Moments:
     lost: Any
 
 
-def idle() -> None:
-    """Nothing to do."""
-
-
 class Integrator(Protocol):
     """A model, ready to render one scene."""
 
@@ -170,14 +166,12 @@ class Traces(Integrator, Protocol):
         estimators: their names.
         groups: number of light groups.
         bands: what a path carries.
-        meanwhile: what is done once, while its first paths are under way.
     """
 
     loaded: MitsubaScene
     estimators: tuple[str, ...]
     groups: int
     bands: Any
-    meanwhile: Callable[[], None]
 
     def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
@@ -525,9 +519,6 @@ def add_samples(
 
     def collect() -> None:
         nonlocal done
-        if under_way:
-            task, integrator.meanwhile = integrator.meanwhile, idle
-            task()
         for launch in under_way:
             _add(accumulated, launch)
             done += launch.paths * ESTIMATOR_COST[launch.name]

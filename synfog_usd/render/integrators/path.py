@@ -50,7 +50,6 @@ from synfog_usd.render.film.accumulator import (
     Accumulator,
     Moments,
     accumulate_by_estimator,
-    idle,
 )
 from synfog_usd.render.integrators import lamps
 from synfog_usd.render.integrators.eye import Eye
@@ -128,7 +127,6 @@ class FogPath:
         self.light_groups = LightGroups(groups, group_of_emitter, self.bands)
         self.eye = Eye(loaded)
         self.asks = self._next_event(others)
-        self.meanwhile = idle
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.most_spread = dr.opaque(backend.mitsuba().Float, MOST_SPREAD if regularize else 0.0)
         self.limited = self.truncation.scatterings < UNLIMITED
