@@ -65,27 +65,6 @@ def test_every_lighting_and_fog_has_its_files(unbroken):
     assert set(printed["seconds"]) == set(SHOTS) and all(value > 0 for value in printed["seconds"].values())
 
 
-def test_shots_that_tell_of_others_come_first_where_nobody_knows_how_long_they_take(tmp_path):
-    """With 40 samples, of which they may need fewer: one by day, then those before lamps; with 4 all come as the stage
-    has them.  Labels are the same, and so is the order in the manifest.
-    """
-    spot = 'SphereLight "Lamp" (\n        prepend apiSchemas = ["ShapingAPI"]'
-    text = street(lamp=True).replace('SphereLight "Lamp" (', spot).replace("active = true", "")
-    text = text.replace(
-        "float inputs:intensity = 1000", "float inputs:intensity = 1000\n float inputs:shaping:cone:angle = 40"
-    )
-    night = tmp_path / "night.usda"
-    night.write_text(text.replace('"sky" {\n', '"sky" {\n over "Lamp" ( active = false ) { }\n'))
-    printed = {}
-    for samples in ("4", "40"):
-        few = ["--resolution", "32x18", "--samples", samples, "--fog", "clear,mor150", "--json"]
-        printed[samples] = json.loads(run("bake", night, "-o", tmp_path / samples, *few).stdout)
-    made, dusk = {key: list(found["seconds"]) for key, found in printed.items()}, ["active/clear", "active/mor150"]
-    assert made["4"] == ["sky/clear", "sky/mor150", *dusk] and made["40"] == ["sky/mor150", *dusk, "sky/clear"]
-    rows, others = ([row["folder"] for row in found["shots"]] for found in printed.values())
-    assert rows == others and printed["4"]["labels"] == printed["40"]["labels"]
-
-
 def test_labels_tell_of_the_whole_wall_and_of_what_the_fog_leaves_of_it(unbroken):
     """The only instance, a wall: its camera, place and outline, and per fog a transmittance that falls from 1."""
     out, _ = unbroken
