@@ -41,8 +41,8 @@ def trace_lamps(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> M
         near, far = of.medium.intersect(ray.o, ray.d)
         stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
         lit = stop > near
-        known = of.asks[True].known_along(ray, near, stop, sampler, lit)
-        light, group = of.asks[True].along(ray, near, stop, bands.even(weight), sampler, lit, known)
+        known = of.of_lamps.known_along(ray, near, stop, sampler, lit)
+        light, group = of.of_lamps.along(ray, near, stop, bands.even(weight), sampler, lit, known)
         finite = dr.all(dr.isfinite(light))
         light = dr.select(finite, light, 0.0)
         single += light
@@ -59,11 +59,11 @@ def trace_direct(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> 
     wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
     total, lost = bands.black(), mi.UInt32(0)
     sums = of.light_groups.begun()
-    begin, end = of.asks[True].visible.pieces(pixel)
+    begin, end = of.of_lamps.visible.pieces(pixel)
     begun = dr.select(begin < end, mi.UInt32(0), wanted)
     sampler, piece = Sobol(image_seed, pixel, first), mi.UInt32(begin)
     while begun < wanted:
-        place, area, owner, face = of.asks[True].visible.point(piece, sampler.next_2d())
+        place, area, owner, face = of.of_lamps.visible.point(piece, sampler.next_2d())
         ray, weight = of.eye.ray_through(place / of.eye.raster.size, sampler, mi.Bool(True))
         si = of.loaded.tree.ray_intersect(ray)
         emitter = si.emitter(scene)
@@ -122,34 +122,34 @@ def trace_lit(of: FogPath, pixel: Any, first: Any, count: int, seed: int) -> Mom
             context, si, mirror, sampler.next_1d(hit), sampler.next_2d(hit), hit
         )
         gloss = Gloss.of(si, reflected, pdf, smooth)
-        picks = of.asks[True].known_at(si.p, gloss, sampler, smooth)
-        lamp, colour, group, lamp_pdf = of.asks[True].lights.at(si.p, gloss, sampler, smooth, picks)
+        picks = of.of_lamps.known_at(si.p, gloss, sampler, smooth)
+        lamp, colour, group, lamp_pdf = of.of_lamps.lights.at(si.p, gloss, sampler, smooth, picks)
         towards, asked = dr.normalize(lamp - si.p), smooth & (dr.max(colour) > 0.0)
-        alone = (lamp_pdf <= 0.0) | mi.Bool(of.asks[True].lit_faces is None)
+        alone = (lamp_pdf <= 0.0) | mi.Bool(of.of_lamps.lit_faces is None)
         reflected, pdf = bsdf.eval_pdf(context, lit_from(si, lamp, alone, mi.Float(0.0)), si.to_local(towards), asked)
         weight = dr.select(alone | (pdf < LEAST_SHARP), 1.0, mis_weight(lamp_pdf, pdf))
         light = throughput * bands.reflectance(reflected, reading) * of.light_groups.light(colour, group)
-        free, reach_lamp = of.asks[True].shadow_transmittance(si.p, si.n, lamp, asked & dr.any(light != 0.0))
+        free, reach_lamp = of.of_lamps.shadow_transmittance(si.p, si.n, lamp, asked & dr.any(light != 0.0))
         light = dr.select(free, light * (weight * reach_lamp), black)
         path, aovs, sums = of.light_groups.add_to_path(path, aovs, sums, light, once, group)
 
         # ---- A lit face that a lobe's direction meets
-        if dr.hint(of.asks[True].lit_faces is not None, mode="scalar"):
+        if dr.hint(of.of_lamps.lit_faces is not None, mode="scalar"):
             onward = throughput * bands.reflectance(kept, reading)
             no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             way = si.spawn_ray(si.to_world(bounce.wo))
             going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
             last, through = way, mi.Float(1.0)
-            if dr.hint(of.asks[True].panes is not None, mode="scalar"):
-                found, met, last, through = of.asks[True].panes.beyond(tree, way, going)
+            if dr.hint(of.of_lamps.panes is not None, mode="scalar"):
+                found, met, last, through = of.of_lamps.panes.beyond(tree, way, going)
             else:
                 met = tree.ray_intersect_preliminary(way, False, going)
                 found = going & met.is_valid()
             emitter = met.shape.emitter()
-            area_pdf, number = of.asks[True].lit_faces.of_emitter(emitter, found)
+            area_pdf, number = of.of_lamps.lit_faces.of_emitter(emitter, found)
             found = area_pdf > 0.0
             end = met.compute_surface_interaction(last, mi.RayFlags.All, found)
-            lamp_pdf = of.asks[True].face_pdf(number, area_pdf, end, si.p, gloss, picks.total)
+            lamp_pdf = of.of_lamps.face_pdf(number, area_pdf, end, si.p, gloss, picks.total)
             weight = dr.select(no_choice, 1.0, mis_weight(bounce.pdf, lamp_pdf))
             group = of.light_groups.of(emitter, found)
             light = onward * (weight * through) * of.light_groups.light(emitter.eval(end, found), group)

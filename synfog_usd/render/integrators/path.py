@@ -28,6 +28,7 @@ estimators that end at the first vertex, `light_groups` the sums.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -126,42 +127,42 @@ class FogPath:
         self.sky_group = groups.index("sky") if "sky" in groups else 0
         self.light_groups = LightGroups(groups, group_of_emitter, self.bands)
         self.eye = Eye(loaded)
-        self.asks = self._next_event(others)
+        self.of_lamps, self.of_others = self._next_event(others)
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.most_spread = dr.opaque(backend.mitsuba().Float, MOST_SPREAD if regularize else 0.0)
         self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = tuple(self._estimators())
 
-    def _next_event(self, others: int) -> dict[bool, NextEvent]:
-        """What asks for light of lamps (True), and for all other light; each only where the scene has it."""
+    def _next_event(self, others: int) -> tuple[NextEvent | None, NextEvent | None]:
+        """Next-event estimation of lamps, and of all other light; each only where the scene has it."""
         lit, sky = self.lights.count > 0, self.loaded.scene.environment() is not None
         both = lit and (sky or others > 0)
-        flags = lamp_faces(self.loaded) if both else None
-        how = {"groups": self.light_groups}
-        asks = {}
-        if not lit or both:
-            none = LightSampler({}, {})
-            asks[False] = NextEvent(self.loaded, self.medium, none, others=others, lamp_faces=flags, **how)
-        if lit:
-            asks[True] = NextEvent(self.loaded, self.medium, self.lights, others=0, lamp_faces=flags, **how)
-        return asks
+        make = functools.partial(
+            NextEvent,
+            self.loaded,
+            self.medium,
+            groups=self.light_groups,
+            lamp_faces=lamp_faces(self.loaded) if both else None,
+        )
+        of_lamps = make(self.lights, others=0) if lit else None
+        return of_lamps, make(LightSampler({}, {}), others=others) if both or not lit else None
 
     def _estimators(self) -> Iterator[str]:
         """Names of the estimators that this scene needs."""
-        ask_lamps, scatters = self.asks.get(True), self.foggy and self.truncation.scatterings > 0
-        if False in self.asks:
+        scatters = self.foggy and self.truncation.scatterings > 0
+        if self.of_others is not None:
             yield SURFACE
             if scatters:
                 yield INSCATTERED
-        if ask_lamps is None:
+        if self.of_lamps is None:
             return
         yield SURFACE_OF_LAMPS
-        if ask_lamps.importance is not None:
+        if self.of_lamps.importance is not None:
             yield LIT
         if scatters:
             yield LAMPS
             yield INSCATTERED_OF_LAMPS
-        if ask_lamps.visible is not None and ask_lamps.visible.count:
+        if self.of_lamps.visible is not None and self.of_lamps.visible.count:
             yield DIRECT
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
@@ -184,9 +185,9 @@ class FogPath:
             return lamps.trace_direct(self, pixel, first, count, seed)
         if estimator == LIT:
             return lamps.trace_lit(self, pixel, first, count, seed)
-        of_lamps = estimator in (SURFACE_OF_LAMPS, INSCATTERED_OF_LAMPS)
+        asks = self.of_lamps if estimator in (SURFACE_OF_LAMPS, INSCATTERED_OF_LAMPS) else self.of_others
         inscattered = estimator in (INSCATTERED, INSCATTERED_OF_LAMPS)
-        return self.trace_paths(self.asks[of_lamps], inscattered, pixel, first, count, seed)
+        return self.trace_paths(asks, inscattered, pixel, first, count, seed)
 
     @dr.syntax
     def trace_paths(self, asks: NextEvent, inscattered: bool, pixel: Any, first: Any, count: int, seed: int) -> Moments:
