@@ -267,13 +267,20 @@ def mottle(halves: Array, level: Array | None = None) -> float:
         halves: (2, H, W) luminance a and b of two independent halves of the samples, denoised or not.
         level: (H, W) luminance of the whole picture of which they are a part; theirs where None.
     """
+    from scipy import ndimage
+
     whole = halves.max(axis=0) if level is None else level
     cap = np.float32(np.percentile(whole, 99.0))
     capped = np.minimum(halves, cap)
     sigma = max(halves.shape[2] / MOTTLE_WIDTHS, LEAST_MOTTLE_PX)
     step = max(1, int(sigma / 4))
-    a, b = (_blurred(binned(half[..., None], step), sigma / step) for half in capped)
-    level = 0.5 * (a + b) if level is None else _blurred(binned(np.minimum(level, cap)[..., None], step), sigma / step)
+
+    def coarse(picture: Array) -> Array:
+        blurred = ndimage.gaussian_filter(binned(picture[..., None], step)[..., 0], sigma / step, truncate=3.0)
+        return np.asarray(blurred)
+
+    a, b = (coarse(half) for half in capped)
+    level = 0.5 * (a + b) if level is None else coarse(np.minimum(level, cap))
     floor = max(1e-3 * float(np.abs(level).mean(dtype=np.float64)), 1e-30)
     return float(np.sqrt(np.mean((0.5 * (a - b) / np.maximum(level, floor)) ** 2, dtype=np.float64)))
 

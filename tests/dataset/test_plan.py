@@ -118,3 +118,13 @@ def test_one_wrong_name_stops_all():
 def test_every_shot_has_a_folder_of_its_own(asked):
     folders = [shot.folder for shot in planned(**asked)]
     assert len(set(folders)) == len(folders)
+
+
+def test_a_quality_is_a_word_and_decides_what_is_left_open():
+    """Samples, denoising and regularization are its own unless they are said; another word is refused with a hint."""
+    plan = BakePlan(Path("street.usda"), Path("out"))
+    assert (plan.quality, plan.samples, plan.denoise, plan.regularize) == ("standard", 64, True, True)
+    truth = BakePlan(Path("street.usda"), Path("out"), quality="reference", samples=8)
+    assert (truth.samples, truth.denoise, truth.regularize) == (8, False, False)
+    with pytest.raises(ParameterError, match=r"^--quality standart: .* Did you mean 'standard'\?$"):
+        BakePlan(Path("street.usda"), Path("out"), quality="standart")

@@ -303,6 +303,42 @@ def test_samples_that_are_added_in_parts_are_those_of_all_at_once():
         assert (estimator.counts == 32).all() and (estimator.lanes == 2 * 4).all()  # a half: 4, 10, 2, then 16
 
 
+def test_lamps_cost_all_other_light_nothing():
+    """The sky's estimators are the same numbers with a lamp that casts no shadow and without, however bright it is."""
+    lit = lamps_in_fog(0.87, BOX)
+    unlit = {**SKY, **{name: lit.world[name] for name in ("shape_ground", "shape_ball")}}
+    point = {"type": "point", "position": [2.0, 12.0, 3.0], "intensity": {"type": "rgb", "value": [1e4] * 3}}
+    found = []
+    for world in (unlit, {**unlit, "light_point": point}):
+        integrator = models.make("path", load(replace(lit, world=world, instance_of={}, group_of={}), boundaries=False))
+        pixels = np.arange(lit.camera.width_px * lit.camera.height_px)
+        picture = accumulator.new_accumulator(integrator, len(pixels))
+        names = accumulator.SURFACE, accumulator.INSCATTERED
+        accumulator.add_samples(picture, integrator, pixels, dict.fromkeys(names, 8), 5)
+        found.append(np.array([picture.estimators[name].mean() for name in names]))
+    assert accumulator.INSCATTERED_OF_LAMPS in integrator.estimators
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-6)
+
+
+def test_samples_go_where_variance_over_cost_is():
+    """n ~ sqrt(variance / cost) at the cost that was asked for: of two estimators alike but for nine times the variance
+    one gets three times the samples, and what is there already counts.
+    """
+    world = lamps_in_fog(0.87, BOX)
+    integrator = models.make("path", load(world, boundaries=False))
+    pixels = world.camera.width_px * world.camera.height_px
+    picture = accumulator.new_accumulator(integrator, pixels)
+    accumulator.add_samples(picture, integrator, np.arange(pixels), picture.even(16), 5)
+    weight = {name: 1.0 for name in picture.estimators} | {accumulator.SURFACE: 3.0}
+    share = accumulator._filled(weight, dict.fromkeys(weight, 0), 100.0)
+    assert share[accumulator.SURFACE] == pytest.approx(3.0 * share[accumulator.LAMPS])
+    assert sum(accumulator.ESTIMATOR_COST[name] * count for name, count in share.items()) == pytest.approx(100.0)
+    more = accumulator.allocation(picture, 64)
+    spent = sum(accumulator.ESTIMATOR_COST[name] * (16 + count) for name, count in more.items())
+    asked = 64 * sum(accumulator.ESTIMATOR_COST[name] for name in more)
+    assert spent == pytest.approx(asked, rel=0.2) and all(count % accumulator.CHUNK == 0 for count in more.values())
+
+
 def test_light_groups_of_what_will_be_denoised_are_kept_in_squares_of_two_pixels():
     """They are the means of the pixels' own light by the same samples, at a border of one odd row and column too; what
     the eye sees of lamps stays pixel by pixel.
