@@ -34,7 +34,7 @@ MIN_VIEW_DEG, MAX_VIEW_DEG, MAX_SHIFT = PARALLEL_DEG, 179.0, 10.0
 _PROJECTIONS = ("perspective", "orthographic")
 _ABSURD_FOCAL_M = 0.5
 _STILL_M, _STILL_RAD = 1e-6, 1e-7
-_OF_FRAMES = (*UsdRender.SettingsBase.GetSchemaAttributeNames(includeInherited=False), "camera")
+_OF_FRAMES = UsdRender.SettingsBase.GetSchemaAttributeNames(includeInherited=False)
 """What render settings and each of their products may say of a frame."""
 
 _EXPOSURE = ("exposure", "exposure:iso", "exposure:time", "exposure:fStop", "exposure:responsivity")
@@ -65,6 +65,7 @@ def read_camera(
     camera = UsdGeom.Camera(prim)
     lens = camera.GetCamera(time)
     _tell_what_is_left_out(settings, notes)
+    _tell_of_products(settings, prim, notes, asked=path is not None)
     if planes := len(lens.clippingPlanes):
         notes.warn(prim.GetPath(), f"its {planes} clippingPlanes cut nothing off here; hide what they should take away")
     notes.token(prim.GetPath(), "projection", camera.GetProjectionAttr().Get(), _PROJECTIONS, "perspective")
@@ -164,10 +165,35 @@ def _tell_what_is_left_out(settings: UsdRender.Settings, notes: Diagnostics) -> 
     bindings = settings.GetMaterialBindingPurposesAttr()
     if bindings.HasAuthoredValue() and next(iter(bindings.Get() or ["full"])) != "full":
         notes.warn(path, "materialBindingPurposes is not followed: materials for 'full' come before all others here")
-    for product in map(settings.GetPrim().GetStage().GetPrimAtPath, settings.GetProductsRel().GetForwardedTargets()):
-        own = [name for name in _OF_FRAMES if product and product.GetProperty(name).IsAuthored()]
-        if own:
-            notes.warn(product.GetPath(), f"{', '.join(own)} of a product is not read; the RenderSettings' own counts")
+
+
+def _tell_of_products(settings: UsdRender.Settings, camera: Usd.Prim, notes: Diagnostics, *, asked: bool) -> None:
+    """What products say of a frame other than what is drawn; `asked`: the camera is named by the caller."""
+    if not settings:
+        return
+    stage = settings.GetPrim().GetStage()
+    paths = settings.GetProductsRel().GetForwardedTargets()
+    products = [product for product in map(UsdRender.Product, map(stage.GetPrimAtPath, paths)) if product]
+    seen = {product.GetPath(): product.GetCameraRel().GetForwardedTargets() for product in products}
+    is_made = asked or camera.GetPath() in [target for targets in seen.values() for target in targets]
+    for product in products:
+        path = product.GetPath()
+        other = [name for name in _OF_FRAMES if _differs(product.GetPrim(), settings.GetPrim(), name)]
+        if other:
+            notes.warn(path, f"{', '.join(other)} of a product is not read; the RenderSettings' own counts")
+        for target in seen[path]:
+            if not UsdGeom.Camera(stage.GetPrimAtPath(target)):
+                notes.warn(path, f"names the camera {target}, which does not exist")
+            elif not is_made:
+                notes.warn(path, f"is of {target}, and {camera.GetPath()} is drawn; --camera {target} draws the other")
+
+
+def _differs(product: Usd.Prim, settings: Usd.Prim, name: str) -> bool:
+    """Whether a product says something of its own that the render settings do not say."""
+    own, common = product.GetAttribute(name), settings.GetAttribute(name)
+    if name == "resolution" and not common.HasAuthoredValue():  # then it is not USD's fallback that counts
+        return bool(own.HasAuthoredValue())
+    return bool(own.HasAuthoredValue() and own.Get() != common.Get())
 
 
 def _rolling(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> float:

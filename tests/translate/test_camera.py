@@ -156,6 +156,36 @@ def test_what_a_product_says_for_itself_is_told(empty):
     rendered(stage).CreateProductsRel().AddTarget("/Render/Product")
     (note,) = [note for note in translate(stage).notes if note.path == "/Render/Product"]
     assert note.text.startswith("resolution of a product is not read")
+    rendered(stage).CreateResolutionAttr(Gf.Vec2i(64, 32))
+    assert not [note for note in translate(stage).notes if note.path == "/Render/Product"]
+
+
+@pytest.mark.parametrize(
+    "own, targets, asked, told",
+    [
+        ("/Camera", ["/Camera"], None, []),
+        ("/Camera", ["/Camera", "/Rear"], None, []),
+        ("/Rear", ["/Camera", "/Rear"], None, []),
+        (None, ["/Camera"], None, []),
+        ("/Camera", ["/Rear"], None, ["is of /Rear, and /Camera is drawn"]),
+        (None, ["/Rear"], None, ["is of /Rear, and /Camera is drawn"]),
+        ("/Camera", ["/Rear"], "/Camera", []),
+        ("/Camera", ["/Camera", "/Gone"], None, ["names the camera /Gone, which does not exist"]),
+    ],
+)
+def test_a_product_s_camera_is_told_where_another_is_drawn(empty, own, targets, asked, told):
+    """One product of each camera is how a rig is written, and no finding."""
+    stage = empty()
+    camera(stage)
+    UsdGeom.Camera.Define(stage, "/Rear")
+    settings = rendered(stage)
+    if own:
+        settings.CreateCameraRel().SetTargets([own])
+    for k, target in enumerate(targets):
+        UsdRender.Product.Define(stage, f"/Render/P{k}").CreateCameraRel().SetTargets([target])
+        settings.GetProductsRel().AddTarget(f"/Render/P{k}")
+    texts = [note.text for note in translate(stage, camera=asked).notes if note.path.startswith("/Render/")]
+    assert [text.startswith(start) for text, start in zip(texts, told, strict=True)] == [True] * len(told)
 
 
 def test_render_settings_without_blur_have_none(empty):
