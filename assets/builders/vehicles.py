@@ -61,6 +61,9 @@ from synfog_usd.world.shapes import (
     turn,
 )
 
+ARCH_WALL = 0.62
+"""Where the inner walls of wheel arches stand, as part of half the width."""
+
 HANDLE = ((-0.019, 0.002), (-0.016, 0.022), (0.010, 0.026), (0.018, 0.002))
 """Section of the handle of a boot or hatch: height and depth [m]."""
 CARS = (
@@ -616,7 +619,7 @@ def build_car(body: Body) -> Component:
     skin = carve(skin, [*prism(floor, (0, 1)), lambda q: q[:, 2] - sill - 0.08])[1]
     parts: list[Part] = [quad([(x, y, sill) for x, y in floor], "black_plastic")]
     skin = arches(
-        skin, parts, body.axles, body.wheel + ARCH_GAP_M, half * 0.62, lip="black_plastic" if body.cladding else ""
+        skin, parts, body.axles, body.wheel + ARCH_GAP_M, half * ARCH_WALL, lip="black_plastic" if body.cladding else ""
     )
     for sign in (-1, 1):
         skin = _flank(skin, parts, body, field_, sign)
@@ -842,7 +845,10 @@ def _cabin(body: Body, field_: Field) -> list[Part]:
             y = min(y for y, _ in window) + 0.30
             parts += [*seat(-x, y, hip, half=0.42, heads=(-0.2, 0.2)), *seat(x * 1.2, y, hip, half=0.24)]
         return parts
-    parts += seat(0.0, at[1] - 0.84, hip + 0.02, half=half * 0.62, heads=(-x, x), tall=0.52)
+    bench = at[1] - 0.84
+    beside_arch = bench - 0.12 < body.axles[0] + body.wheel + ARCH_GAP_M
+    wide = half * ARCH_WALL - (0.006 if beside_arch else 0.0)  # else its sides lie in the walls of the arches
+    parts += seat(0.0, bench, hip + 0.02, half=wide, heads=(-x, x), tall=0.52)
     shelf = at[1] - 1.22
     return (
         [*parts, box((-half * 0.66, ry + 0.07, rz - 0.045), (half * 0.66, shelf, rz - 0.03), "cabin_dark")]
