@@ -300,7 +300,7 @@ class Materials:
         own = material.ComputeSurfaceSource("mitsuba")[0]
         if own and shader_id(own.GetPrim()).startswith("mitsuba_"):
             try:
-                bsdf = native(own, self.time, self.images)
+                bsdf = native(own, self.time, self.images, self.notes)
                 textured = is_textured(bsdf)
                 return Finish(
                     self._add(bsdf),

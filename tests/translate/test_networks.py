@@ -9,6 +9,7 @@ import OpenImageIO
 import pytest
 from pxr import Sdf, UsdGeom, UsdLux, UsdShade
 
+from synfog_usd.render.load import make_bsdf
 from synfog_usd.render.shot import render
 from synfog_usd.translate import texture, translate
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -651,6 +652,29 @@ def test_a_native_material_that_is_none_is_refused(quad, kind):
     scene, _, bsdf = drawn(stage)
     assert bsdf["bsdf"]["base_color"]["value"] == [1.0, 0.0, 0.0]
     assert any("outputs:mitsuba:surface" in note.text for note in scene.notes)
+
+
+@pytest.mark.parametrize(
+    "kind, name, value, told",
+    [
+        ("roughplastic", "alfa", (TYPES.Float, 0.2), "alfa is no parameter of roughplastic"),
+        ("roughplastic", "alpha", (TYPES.Color3f, (1, 0, 0)), "and a number is wanted"),
+        ("plastic", "nonlinear", (TYPES.Float, 1.0), "true or false is wanted"),
+        ("dielectric", "int_ior", (TYPES.Float, -1.0), "int_ior is -1"),
+        ("roughconductor", "distribution", (TYPES.Token, "phong"), "beckmann or ggx is wanted"),
+        ("diffuse", "reflectance", (TYPES.Color3f, (2, 0, 0)), "0 to 1 can be drawn"),
+        ("diffuse", "reflectance", (TYPES.String, "red"), "a number or a colour is wanted"),
+    ],
+)
+def test_what_a_native_material_does_not_take_is_left_out(quad, kind, name, value, told):
+    """With a note by the shader's path; Mitsuba makes what is left."""
+    stage, shader = quad
+    shader("Own", f"mitsuba_{kind}", "mitsuba", **{name: value})
+    scene, _, bsdf = drawn(stage)
+    assert bsdf["type"] == kind and name not in bsdf
+    (note,) = [note for note in scene.notes if note.path.endswith("/Own")]
+    assert told in note.text
+    make_bsdf(bsdf)
 
 
 def reader_of(shader, name, **transform):
