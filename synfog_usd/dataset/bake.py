@@ -678,28 +678,28 @@ def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, 
 
 
 def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendered) -> dict[str, Any]:
-    """What the render was to reach, and the share of its pixels that did.
+    """What the render was to reach, the share of its pixels that did, and the sensor's noise where it is known.
 
-    For a sensor: the shares of its noise under which what differs from seed to seed and the whole error are to stay.
+    For the quality `sensor`: the shares of its noise under which what differs from seed to seed and the whole error are
+    to stay.
     """
     quality = numbers.QUALITIES[plan.quality]
+    found: dict[str, Any] = {}
     if plan.target_error is not None:
-        kind: dict[str, Any] = {"relative_error": plan.target_error}
+        found = {"relative_error": plan.target_error}
     elif quality.error is not None:
-        kind = {"relative_error": quality.error, "mottle": quality.mottle}
-    elif quality.sensor and pixel is not None:
-        share, whole = 1 / 3, 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
-        kind = {
-            "sensor": {
-                "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),
-                "dark_noise_e": float(f"{pixel[1]:.4g}"),
-                "share": share,
-                "whole_share": whole,
-            }
+        found = {"relative_error": quality.error, "mottle": quality.mottle}
+    elif not quality.sensor or pixel is None:
+        found = {"samples": plan.samples}
+    if pixel is not None:
+        found["sensor"] = {
+            "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),
+            "dark_noise_e": float(f"{pixel[1]:.4g}"),
         }
-    else:
-        kind = {"samples": plan.samples}
-    return kind | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
+        if quality.sensor and plan.target_error is None:
+            whole = 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
+            found["sensor"] |= {"share": 1 / 3, "whole_share": whole}
+    return found | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
 
 
 def _write_labels(
