@@ -641,7 +641,8 @@ def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
     layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(stage.GetRootLayer().identifier))
     del quiet
     files = list(assets)
-    for name in dict.fromkeys(materialx.file_of(path) for path in missing if materialx.is_materialx(path)):
+    found = (path for path in missing if materialx.is_materialx(path) and Path(path).is_absolute())  # in memory
+    for name in dict.fromkeys(map(materialx.file_of, found)):
         files += [name, *materialx.pictures(name)]
     return list(layers), files
 

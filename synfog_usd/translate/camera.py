@@ -64,6 +64,8 @@ def read_camera(
     prim = _chosen(stage, settings, path, notes)
     camera = UsdGeom.Camera(prim)
     lens = camera.GetCamera(time)
+    if not settings and (named := stage.GetMetadata("renderSettingsPrimPath")):
+        notes.warn("/", f"renderSettingsPrimPath is {named!r}, where no RenderSettings are; none are followed")
     _tell_what_is_left_out(settings, notes)
     _tell_of_products(settings, prim, notes, asked=path is not None)
     if planes := len(lens.clippingPlanes):

@@ -109,11 +109,13 @@ class Asked:
         name: of the primvar.
         input: what it goes to.
         colour: whether it has to be a colour, or else a number.
+        needed: whether its reader has no fallback for a shape without it.
     """
 
     name: str
     input: str
     colour: bool
+    needed: bool
 
 
 class Materials:
@@ -178,6 +180,10 @@ class Materials:
         """What a shape's primvars cannot give to its material."""
         for one, value in zip(asked, given, strict=True):
             if value is None:
+                if one.needed and one.name != DISPLAY:
+                    self.notes.warn(
+                        shape, f"has no value of primvar {one.name}, and the reader of {one.input} no fallback"
+                    )
                 continue
             fits = (value.colour if one.colour else value.number) is not None
             if not fits:
@@ -598,7 +604,7 @@ class _ShaderInputs:
         varname = str(value_of(reader, "geomprop" if is_materialx else "varname", self.time, ""))
         primvar = varname.removeprefix("primvars:") or DISPLAY
         fallback = _given(value_of(reader, "default" if is_materialx else "fallback", self.time))
-        self.asked[Asked(primvar, name, colour)] = None
+        self.asked[Asked(primvar, name, colour, fallback is None)] = None
         found = self.look(primvar)
         fits = found is not None and (found.colour if colour else found.number) is not None
         return Read(primvar, found if fits else fallback, fallback)

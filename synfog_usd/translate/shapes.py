@@ -205,9 +205,14 @@ class Shapes:
         if finish.colored and made.colors is None:
             made = replace(made, colors=_plain(finish, len(made.positions)))
         shape = geometry.mesh_shape(made, key, textured=textured, colored=finish.colored)
+        nits = finish.emission_nits
         if "MeshLightAPI" in leaf.schemas:
-            return [self._mesh_light(leaf, shape, geometry.area(made))]
-        return [(shape, emission, finish.emission_nits)]
+            shape, emission, nits = self._mesh_light(leaf, shape, geometry.area(made))
+        result: list[Part] = [(shape, emission, nits)]
+        if emission is not None and (back := self._back(leaf, made)) is not None:
+            arrays = geometry.mesh_shape(back, key, textured=textured, colored=finish.colored)
+            result.append((arrays, emission, nits))
+        return result
 
     def _swept(self, leaf: Leaf, kind: str, color: str | None) -> Triangles | None:
         if kind == "Points":
@@ -277,18 +282,24 @@ class Shapes:
             if "MeshLightAPI" in leaf.schemas:
                 shape, emission, nits = self._mesh_light(leaf, shape, geometry.area(triangles))
             result.append((shape, emission, nits))
-            if emission is not None and "MeshLightAPI" not in leaf.schemas and self._shows_its_back(leaf):
-                back = geometry.backs(triangles)
-                if back is not None:
-                    arrays = geometry.mesh_shape(back, key, textured=textured, colored=finish.colored)
-                    result.append((arrays, emission, nits))
+            if emission is not None and (back := self._back(leaf, triangles)) is not None:
+                arrays = geometry.mesh_shape(back, key, textured=textured, colored=finish.colored)
+                result.append((arrays, emission, nits))
         if self.meshes is not None and said is not None and len(result) == 1 and self.notes.told == told:
             self.meshes[said] = result[0][0]
         return result
 
-    def _shows_its_back(self, leaf: Leaf) -> bool:
-        """Whether a mesh is to be seen from behind as from before."""
-        return "doubleSided" in leaf.authored and bool(leaf.prim.GetAttribute("doubleSided").Get(self.time))
+    def _back(self, leaf: Leaf, triangles: Triangles) -> Triangles | None:
+        """The back of what shines, where it is seen and shines too; a light's does not, which is told."""
+        if "doubleSided" not in leaf.authored and leaf.kind != "Plane":  # of which alone it is the default
+            return None
+        back = geometry.backs(triangles) if leaf.prim.GetAttribute("doubleSided").Get(self.time) else None
+        if back is not None and "MeshLightAPI" in leaf.schemas:
+            self.notes.info(
+                leaf.path, "it is doubleSided and a light by MeshLightAPI, which shines from its front alone"
+            )
+            return None
+        return back
 
     def _pieces(
         self, leaf: Leaf, matrix: Array, subsets: list[np.ndarray], uv: UvSource | None, color: str | None

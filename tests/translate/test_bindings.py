@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from synfog_usd.translate import translate
 
@@ -167,7 +167,7 @@ def test_a_constant_colour_is_read_from_above(empty, square, only_shape):
 def test_a_number_by_primvar(empty, square, only_shape, interpolation, values, wanted, told):
     """Its constant; its mean where it varies, with a note; the reader's fallback where the mesh has none."""
     stage = empty()
-    material = reading(stage, "UsdPrimvarReader_float3", "tint")
+    material = reading(stage, "UsdPrimvarReader_float3", "tint", fallback=RED)
     reader = UsdShade.Shader.Define(stage, "/Reading/Rough")
     reader.CreateIdAttr("UsdPrimvarReader_float")
     reader.CreateInput("varname", TYPES.String).Set("rough")
@@ -623,3 +623,38 @@ def test_what_is_double_sided_shines_from_both(empty, polygon_mesh, points, indi
             ways.append(np.cross(b - a, c - a).sum(axis=0) / 2)
         np.testing.assert_allclose(ways, [[0, -4, 0], [0, 4, 0]], atol=1e-6)
         assert lit[1]["positions"][:, 1].min() > lit[0]["positions"][:, 1].max()
+
+
+@pytest.mark.parametrize("light, fluxes", [(False, 2), (True, 1)])
+def test_a_plane_shines_from_both_sides_by_default(empty, light, fluxes):
+    """UsdGeomPlane is doubleSided unless it says otherwise; a light by MeshLightAPI has its front alone, and a note."""
+    stage = empty()
+    plane = UsdGeom.Plane.Define(stage, "/Plane")
+    if light:
+        UsdLux.MeshLightAPI.Apply(plane.GetPrim())
+        UsdLux.LightAPI(plane.GetPrim()).CreateIntensityAttr(10)
+    else:
+        material = paint(stage, "/Lit", RED)
+        glow = UsdShade.Shader(stage.GetPrimAtPath("/Lit/Surface")).CreateInput("emissiveColor", TYPES.Color3f)
+        glow.Set((10, 10, 10))
+        bind(plane.GetPrim(), material)
+    scene = translate(stage)
+    assert sum(scene.flux_of.values()) == pytest.approx(fluxes * np.pi * 10 * 4.0, rel=1e-6)
+    assert ["front alone" in note.text for note in scene.notes if note.path == "/Plane"] == [True] * light
+    plane.CreateDoubleSidedAttr(False)
+    scene = translate(stage)
+    assert sum(scene.flux_of.values()) == pytest.approx(np.pi * 10 * 4.0, rel=1e-6)
+    assert not [note for note in scene.notes if note.path == "/Plane"]
+
+
+@pytest.mark.parametrize("fallback, notes", [(None, 1), ((0.25, 0.5, 0.75), 0)])
+def test_a_primvar_that_is_not_there_is_told(empty, polygon_mesh, fallback, notes):
+    """What its reader then gives is black, as UsdPrimvarReader has it; a fallback is meant."""
+    stage = empty()
+    prim = polygon_mesh(stage, "/Mesh", SHEET, [4], [0, 1, 2, 3]).GetPrim()
+    more = {} if fallback is None else {"fallback": fallback}
+    bind(prim, reading(stage, "UsdPrimvarReader_float3", "tint", **more))
+    scene = translate(stage)
+    (shape,) = [part for key, part in scene.world.items() if key.startswith("shape_")]
+    np.testing.assert_allclose(color_of(scene, shape), fallback or (0, 0, 0))
+    assert ["tint" in note.text for note in scene.notes if note.path == "/Mesh"] == [True] * notes

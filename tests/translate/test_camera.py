@@ -499,3 +499,12 @@ def test_the_mode_of_the_shutter_is_read_and_one_that_is_none_is_told(empty):
     broken = translate(stage, frame=6)
     assert not broken.camera.global_reset
     assert any("'strobe'; it takes rolling or global_reset" in note.text for note in broken.notes)
+
+
+def test_render_settings_that_are_not_there_are_told(empty):
+    stage = empty()
+    stage.SetMetadata("renderSettingsPrimPath", "/Render/Settings")
+    (note,) = [note for note in translate(stage).notes if "renderSettingsPrimPath" in note.text]
+    assert "/Render/Settings" in note.text
+    UsdRender.Settings.Define(stage, "/Render/Settings")
+    assert not [note for note in translate(stage).notes if "renderSettingsPrimPath" in note.text]

@@ -400,6 +400,16 @@ def test_a_file_lies_where_the_layer_that_names_it_lies(tmp_path, monkeypatch, n
     assert shader.GetAttribute("inputs:metalness").Get() == 0.75
 
 
+@pytest.mark.parametrize("name", ["gone.mtlx", "./gone.mtlx", "look/gone.mtlx"])
+def test_a_file_that_is_nowhere_is_told_from_any_folder(tmp_path, monkeypatch, name):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    (tmp_path / "stage").mkdir()
+    stage = open_stage(placed(tmp_path / "stage", "", arc=f"references = @{name}@</MaterialX/Materials/Car>"))
+    (note,) = [note for note in composition_notes(stage) if "gone.mtlx" in note.text]
+    assert note.text.endswith(f"{name} is missing; drawn without it")
+
+
 def test_a_file_may_be_a_sublayer(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path.parent)
     (tmp_path / "car.mtlx").write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
