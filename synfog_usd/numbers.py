@@ -80,15 +80,15 @@ def check_samples(samples: int, option: str = "--samples") -> None:
         )
 
 
-def check_quality(name: str) -> None:
+def check_quality(name: object, option: str = "--quality") -> None:
     """Refuse a quality that does not exist.
 
     Raises:
         ParameterError: with those that do.
     """
-    if name not in QUALITIES:
+    if not isinstance(name, str) or name not in QUALITIES:
         raise ParameterError(
-            f"--quality {name}: not known; it takes {', '.join(QUALITIES)}.{did_you_mean(name, tuple(QUALITIES))}"
+            f"{option} {name}: not known; it takes {', '.join(QUALITIES)}.{did_you_mean(str(name), tuple(QUALITIES))}"
         )
 
 

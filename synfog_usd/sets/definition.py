@@ -387,7 +387,7 @@ class _SetReader:
                 elif key == "bands":
                     numbers.check_bands(value)
                 elif key == "word":
-                    numbers.check_quality(value)
+                    numbers.check_quality(value, "word")
                 elif key == "model":
                     from synfog_usd.render.models import check_name
 
@@ -398,9 +398,9 @@ class _SetReader:
 
     def quality_word(self, item: Located) -> str:
         try:
-            numbers.check_quality(item.value)
+            numbers.check_quality(item.value, "quality")
         except ParameterError as error:
-            raise SetError(f"{item.place}: quality: {error}") from error
+            raise SetError(f"{item.place}: {error}") from error
         return str(item.value)
 
     def exposure(self, item: Located) -> dict[str, float]:

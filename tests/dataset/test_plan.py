@@ -128,3 +128,5 @@ def test_a_quality_is_a_word_and_decides_what_is_left_open():
     assert (truth.samples, truth.denoise, truth.regularize) == (8, False, False)
     with pytest.raises(ParameterError, match=r"^--quality standart: .* Did you mean 'standard'\?$"):
         BakePlan(Path("street.usda"), Path("out"), quality="standart")
+    with pytest.raises(ParameterError, match=r"^--quality None: not known; it takes draft, standard, "):
+        BakePlan(Path("street.usda"), Path("out"), quality=None)

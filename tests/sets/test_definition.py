@@ -118,6 +118,8 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
         ("scenes: 4\nrecipes: [tunnel]\nsize: [320]", r"own.yaml:4:7: size is \[320\]; it takes \[width, height\]"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {samples: 0}", r"own.yaml:4:20: quality.samples: samples 0: outside"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {model: pth}", r"own.yaml:4:18: quality.model: .*pth"),
+        ("scenes: 4\nrecipes: [tunnel]\nquality: fast", r"own.yaml:4:10: quality fast: not known; it takes draft, "),
+        ("scenes: 4\nrecipes: [tunnel]\nquality: {word: drft}", r"own.yaml:4:17: quality.word: word drft: .*'draft'"),
         (
             "scenes: 4\nrecipes: [tunnel]\nsplits: {test: {models: [bus]}}",
             r"own.yaml:4:16: splits: test has no 'share'",
