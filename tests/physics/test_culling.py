@@ -4,7 +4,7 @@ import pytest
 
 from synfog_usd import resources
 from synfog_usd.render import backend
-from synfog_usd.study.pages.culling import MODELS, foggy, saving
+from synfog_usd.study.pages.culling import foggy, saving
 from synfog_usd.world.compose import compose
 
 pytestmark = pytest.mark.physics
@@ -41,7 +41,7 @@ def test_a_reduced_scene_looks_like_the_whole_one(name, lighting, visibility_m, 
     """Squares of 4 pixels differ by less than 0.1 sigma and the noise that is left, and at least a share of the
     triangles is saved.
     """
-    row = saving(name, foggy(stage_of(name, tmp_path), lighting, visibility_m), model=MODELS[lighting])
+    row = saving(name, foggy(stage_of(name, tmp_path), lighting, visibility_m))
     assert row is not None and row.triangles > least * row.of_triangles
     assert row.noise < RESOLVES
     assert row.error**2 - row.noise**2 < 0.05**2

@@ -117,11 +117,11 @@ def test_the_lamps_light_in_haze_is_that_of_haze_as_dense_as_the_band():
     lamp = {
         "light_spot": {"type": "spot", "to_world": aim, "cutoff_angle": 20.0, "intensity": rgb(100.0, 100.0, 100.0)}
     }
-    hazy = render(scene(lamp, [haze(2.0)], fov_x_deg=40.0), samples=512, bands=8)
+    hazy = render(scene(lamp, [haze(2.0)], fov_x_deg=40.0), samples=4096, bands=8)
     white = bands.matrices(8)[0].sum(axis=0)
     for band in (0, 3, 7):
         sigma_t = 0.02 * (bands.CENTRES_NM[8][band] / 550.0) ** -2.0
-        grey = render(scene(lamp, [haze(0.0, sigma_t=sigma_t)], fov_x_deg=40.0), samples=512, seed=1)
+        grey = render(scene(lamp, [haze(0.0, sigma_t=sigma_t)], fov_x_deg=40.0), samples=4096, seed=1)
         for part in ("airlight_single", "airlight_multiple"):
             ours, theirs = hazy.components[part][..., band].mean() / white[band], grey.components[part].mean()
             assert ours == pytest.approx(theirs, rel=0.02 if part == "airlight_single" else 0.1), (band, part)
