@@ -193,6 +193,21 @@ def test_the_papers_lens_follows_its_formula():
         np.testing.assert_allclose(seen.pixels[..., 1], wanted, rtol=1e-5)  # float32
 
 
+@pytest.mark.parametrize("width_px", [320, 1280])
+def test_the_papers_pixels_reach_as_far_as_binned_ones(width_px):
+    """Variance of where a binned pixel gathers light: N samples of its colour, two sensor pixels apart, each one wide.
+
+    It is that of a square pixel and of the graph's spot, within a twentieth at 1280 pixels, where N is 4.7.
+    """
+    graph, _ = papers_cameras()
+    sensor = graph.profiles["sensor"]
+    n = round(sensor.width_px / width_px)
+    places = (2 * np.arange(n) - (n - 1)) / n
+    binned = places.var() + (1 / n) ** 2 / 12
+    spot_px = graph.nodes["diffraction"].params["spot_um"].value / sensor.pixel_pitch_um
+    assert 1 / 12 + spot_px**2 == pytest.approx(binned, rel=0.05)
+
+
 def test_the_papers_camera_averages_to_the_noise_free_one():
     """Any seed gives the same bytes without noise, and 64 frames of the paper's camera average to its numbers.
 
