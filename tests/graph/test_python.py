@@ -16,7 +16,7 @@ from synfog_usd.image import Image, Quantity
 
 NODES = [
     {"name": "irradiance", "op": "optics.irradiance", "falloff": "cos4"},
-    {"name": "diffraction", "op": "optics.diffraction"},
+    {"name": "diffraction", "op": "optics.diffraction", "spot_um": 0.8},
     {"name": "expose", "op": "sensor.expose", "exposure_s": "auto"},
     {"name": "prnu", "op": "sensor.prnu"},
     {"name": "dark_current", "op": "sensor.dark_current"},
@@ -94,7 +94,9 @@ def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     image = optics.irradiance(
         scene, f_number=lens.f_number, transmission=lens.transmission, falloff="cos4", fov_x_deg=60.0
     )
-    image = blur.diffraction(image, f_number=lens.f_number, pixel_pitch_um=chip.pixel_pitch_um, sensor=chip)
+    image = blur.diffraction(
+        image, f_number=lens.f_number, pixel_pitch_um=chip.pixel_pitch_um, sensor=chip, spot_um=0.8
+    )
     image = sensor.expose(
         image, exposure_s=1 / 250, pixel_pitch_um=chip.pixel_pitch_um, fill_factor=chip.fill_factor, sensor=chip
     )
