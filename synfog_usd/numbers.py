@@ -25,7 +25,8 @@ class Quality:
         error: relative error of the median pixel to stop at; None where samples or the sensor alone decide.
         mottle: clouds that may be left, see `render.dualbuffer.mottle`; None likewise.
         sensor: whether to stop where the sensor's noise hides what is left.
-        denoise, regularize: see `render.shot.Settings`.
+        clean: whether pictures are denoised and mirrors before lamps regularized, see `render.shot.Settings`; without
+            both a picture converges to the truth.
     """
 
     promise: str
@@ -33,17 +34,14 @@ class Quality:
     error: float | None = None
     mottle: float | None = None
     sensor: bool = False
-    denoise: bool = True
-    regularize: bool = True
+    clean: bool = True
 
 
 QUALITIES = {
     "draft": Quality("composition and light can be judged", samples=4),
     "standard": Quality("nothing that a person sees at full size", samples=64, error=0.06, mottle=0.01),
     "sensor": Quality("a RAW deviates at most 1.15 times what its sensor does", samples=128, sensor=True),
-    "reference": Quality(
-        "neither denoised nor regularized: it converges to the truth", samples=1024, denoise=False, regularize=False
-    ),
+    "reference": Quality("neither denoised nor regularized: it converges to the truth", samples=1024, clean=False),
 }
 """By name, cheapest first."""
 
@@ -92,16 +90,14 @@ def check_quality(name: object, option: str = "--quality") -> None:
         )
 
 
-def check_target(*, error: float | None, time_limit_s: float | None) -> None:
-    """Refuse a relative error outside 0 to 1, and a time that ends before it begins.
+def check_target(error: float | None) -> None:
+    """Refuse a relative error outside 0 to 1.
 
     Raises:
         ParameterError: with the range.
     """
     if error is not None and not 0.0 < error <= 1.0:
         raise ParameterError(f"--target-error {error:g}: outside 0 to 1; 0.01 is 1 %")
-    if time_limit_s is not None and not time_limit_s > 0.0:
-        raise ParameterError(f"--time-limit {time_limit_s:g}: not above 0 s")
 
 
 def check_bands(count: int) -> None:

@@ -29,7 +29,7 @@ stages: ['street.usda']
 lightings: [sky]
 fogs: [clear, 150]
 size: [64, 36]
-quality: {samples: 2, model: single, denoise: false}
+quality: {word: reference, samples: 2, model: single}
 """
 BOX = """\
 v 0 0 0

@@ -53,10 +53,10 @@ def test_a_switch_takes_each_word_for_true_and_false(word, tmp_path):
     for found in (graph, graph.with_overrides({"white_balance.clip": word})):
         assert found.nodes["white_balance"].params["clip"].value is wanted
     (tmp_path / "s.yaml").write_text(
-        f"synfog: set/1\nextends: mini\nquality: {{samples: 4, denoise: {word}, cull: {word}}}\nsame_noise: {word}\n"
+        f"synfog: set/1\nextends: mini\nquality: {{samples: 4, cull: {word}}}\nsame_noise: {word}\n"
     )
     read = definition.load_set(tmp_path / "s.yaml")
-    assert read.same_noise is wanted and read.quality["denoise"] is wanted and read.quality["cull"] is wanted
+    assert read.same_noise is wanted and read.quality["cull"] is wanted
     (tmp_path / "a.onnx").touch()
     (tmp_path / "d.yaml").write_text(
         "synfog: benchmark/1\ndetectors:\n- {name: a, onnx: a.onnx, layout: boxes, classes: [car], "

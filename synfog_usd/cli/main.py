@@ -129,37 +129,12 @@ def bake(
         float | None,
         typer.Option(help="Relative error of a pixel to stop at, as 0.01, instead of what --quality promises."),
     ] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(help="Seconds a shot after which no more samples are begun.")
-    ] = None,
     bands: Annotated[
         str,
         typer.Option(
             help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do."
         ),
     ] = "auto",
-    denoise: Annotated[
-        bool | None,
-        typer.Option(
-            "--denoise/--no-denoise",
-            show_default=False,
-            help=(
-                "Clean surfaces and airlight apart (Open Image Denoise) and tell what error is left; --no-denoise "
-                "gives the plain mean."
-            ),
-        ),
-    ] = None,
-    regularize: Annotated[
-        bool | None,
-        typer.Option(
-            "--regularize/--no-regularize",
-            show_default=False,
-            help=(
-                "Blur what mirrors show of lamps by way of fog or rough surfaces, less the more samples there are; "
-                "--no-regularize leaves --no-denoise without any bias, and more rare bright pixels."
-            ),
-        ),
-    ] = None,
     cull: Annotated[
         bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
     ] = True,
@@ -206,10 +181,7 @@ def bake(
             quality=quality,
             samples=samples,
             target_error=target_error,
-            time_limit_s=time_limit,
             bands=None if bands == "auto" else _count(bands, "--bands"),
-            denoise=denoise,
-            regularize=regularize,
             cull=cull,
             seed=seed,
             same_noise=same_noise,

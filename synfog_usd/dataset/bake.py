@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import files, numbers, system
+from synfog_usd import files, system
 from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibility
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
@@ -154,7 +154,7 @@ def bake(
 
         for shot in unfinished:
             if shot in scenes.known:
-                check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.denoise))
+                check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.promise.clean))
         if moved := ledger.set_aside(every, {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}):
             log(f"{plan.out}: {moved}")
 
@@ -214,7 +214,7 @@ def bake(
                     mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
                     exposed = f", exposed {view.exposure}" if view.exposure else ""
                     log(f"{shot.lighting}: this view has {mean}{exposed}")
-                share = sampling_share(Settings(samples=plan.samples, denoise=plan.denoise)) if alone else 1.0
+                share = sampling_share(Settings(samples=plan.samples, denoise=plan.promise.clean)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)
                 step("rendering", SET_UP)
@@ -507,20 +507,19 @@ def _settings(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings
 
-    quality, own = numbers.QUALITIES[plan.quality], plan.target_error is None
+    quality, own = plan.promise, plan.target_error is None
     error = quality.error if own else plan.target_error
     return Settings(
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
         seed=seed,
         target_error=min(1.0, error * density) if error is not None else None,
-        target_mottle=quality.mottle if own and plan.denoise else None,
+        target_mottle=quality.mottle if own else None,
         sensor_sigma=sensor_target(floor) if floor and own and quality.sensor else None,
-        time_limit_s=plan.time_limit_s,
         bands=plan.bands,
-        denoise=plan.denoise,
+        denoise=quality.clean,
         draft=plan.draft,
-        regularize=plan.regularize,
+        regularize=quality.clean,
     )
 
 
@@ -683,7 +682,7 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
     For the quality `sensor`: the shares of its noise under which what differs from seed to seed and the whole error are
     to stay.
     """
-    quality = numbers.QUALITIES[plan.quality]
+    quality = plan.promise
     found: dict[str, Any] = {}
     if plan.target_error is not None:
         found = {"relative_error": plan.target_error}

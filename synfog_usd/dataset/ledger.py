@@ -61,10 +61,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "quality": plan.quality,
             "samples": plan.samples,
             "target_error": plan.target_error,
-            "time_limit_s": plan.time_limit_s,
             "bands": plan.bands,
-            "denoise": plan.denoise,
-            "regularize": plan.regularize,
             "cull": plan.cull,
             "seed": plan.seed,
             "lights": plan.lights,
@@ -85,7 +82,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             **({"iso": plan.iso} if plan.iso is not None else {}),
             **({"ev": plan.ev} if plan.ev else {}),
         },
-        "versions": library_versions(denoise=plan.denoise),
+        "versions": library_versions(denoise=plan.promise.clean),
     }
 
 

@@ -83,9 +83,9 @@ class BakePlan:
         meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
-        quality: a word of `numbers.QUALITIES`; it decides when sampling stops.
-        model, samples, seed, target_error, time_limit_s, bands, denoise, regularize: see `render.shot.Settings`.
-            Samples, denoise and regularize are the quality's where None; a target error replaces its target.
+        quality: a word of `numbers.QUALITIES`: when sampling stops, and whether pictures are denoised.
+        model, samples, seed, target_error, bands: see `render.shot.Settings`. Samples are the quality's where None; a
+            target error replaces its target.
         cull: whether what fog hides from the sensor is simplified or left out, see `cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
@@ -117,10 +117,7 @@ class BakePlan:
     model: str = "auto"
     samples: int | None = None
     target_error: float | None = None
-    time_limit_s: float | None = None
     bands: int | None = None
-    denoise: bool | None = None
-    regularize: bool | None = None
     cull: bool = True
     seed: int = 0
     variant: str = "auto"
@@ -150,11 +147,10 @@ class BakePlan:
         if self.meter not in METERS:
             raise ParameterError(f"--meter {self.meter}: takes {' or '.join(METERS)}")
         numbers.check_quality(self.quality)
-        for name in ("samples", "denoise", "regularize"):
-            if getattr(self, name) is None:  # the plan is frozen, and is whole from here on
-                object.__setattr__(self, name, getattr(numbers.QUALITIES[self.quality], name))
+        if self.samples is None:  # the plan is frozen, and is whole from here on
+            object.__setattr__(self, "samples", self.promise.samples)
         numbers.check_samples(self.samples)
-        numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
+        numbers.check_target(self.target_error)
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)
         numbers.check_frame(self.frame)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
@@ -166,6 +162,11 @@ class BakePlan:
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)
+
+    @property
+    def promise(self) -> numbers.Quality:
+        """What its quality promises."""
+        return numbers.QUALITIES[self.quality]
 
 
 def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -112,8 +111,6 @@ class Settings:
         target_mottle: clouds that may be left in a denoised picture, relative, see `dualbuffer.mottle`; or None.
         sensor_sigma: luminance -> standard error [cd m-2] at which it stops, see `sampling.adaptive.sensor_target`, or
             None.
-        time_limit_s: seconds after which no new round of samples is begun, in our own path tracers; what it ends does
-            not repeat byte for byte.
         scatterings, bounces: limits of `path`: how often the fog, and how often surfaces, may scatter a
             path; None is no limit.
         bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets
@@ -135,7 +132,6 @@ class Settings:
     target_error: float | None = None
     target_mottle: float | None = None
     sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None
-    time_limit_s: float | None = None
     scatterings: int | None = None
     bounces: int | None = None
     bands: int | None = numbers.RGB
@@ -146,14 +142,14 @@ class Settings:
     def __post_init__(self) -> None:
         models.check_name(self.model)
         numbers.check_samples(self.samples)
-        numbers.check_target(error=self.target_error, time_limit_s=self.time_limit_s)
+        numbers.check_target(self.target_error)
         if self.bands is not None:
             numbers.check_bands(self.bands)
 
     @property
     def target(self) -> Target:
         """What is good enough."""
-        return Target(self.target_error, self.sensor_sigma, self.samples, self.time_limit_s, self.target_mottle)
+        return Target(self.target_error, self.sensor_sigma, self.samples, self.target_mottle)
 
 
 def picture_bytes(scene: SceneDict, settings: Settings) -> int:
@@ -263,7 +259,7 @@ def sample(
         settings.denoise,
     )
     check_memory(scene, settings)
-    target, began = settings.target, time.perf_counter()
+    target = settings.target
     width, height = size or (scene.camera.width_px, scene.camera.height_px)
     figures: dict[str, dict[str, float]] = {}
     warnings = list[str]()
@@ -293,9 +289,6 @@ def sample(
     camera = loaded.source.camera
     shape = (camera.height_px, camera.width_px, -1)
 
-    def now() -> float:
-        return time.perf_counter() - began
-
     cleaning: _Cleaning | None = None
     if parts := moments.cut(loaded.source, samples):
         why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
@@ -313,10 +306,10 @@ def sample(
             look = functools.partial(denoising.guides, loaded, rays=rays)
         cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW, draft=settings.draft)
         accumulated = accumulate_denoised(
-            integrator, target=target, seed=seed, now=now, denoised=cleaning.judged, progress=progress
+            integrator, target=target, seed=seed, denoised=cleaning.judged, progress=progress
         )
     else:
-        accumulated = accumulate_to_target(integrator, target=target, seed=seed, now=now, progress=progress)
+        accumulated = accumulate_to_target(integrator, target=target, seed=seed, progress=progress)
     names = tuple(getattr(integrator, "group_names", ()))
     names = names if len(names) > 1 else ()
     shares = list[tuple[str, dict[str, np.ndarray]]]()

@@ -50,7 +50,9 @@ SECTIONS = (
     "exposure",
     "splits",
 )
-QUALITY = ("word", "model", "samples", "target_error", "bands", "denoise", "regularize", "cull")
+QUALITY = ("word", "model", "samples", "target_error", "bands", "cull")
+NO_LONGER = ("denoise", "regularize", "time_limit")
+"""Keys that quality once had."""
 EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
 """Key of a set's exposure -> what `BakePlan` calls it."""
 HELD_OUT = ("models", "recipes", "skies")
@@ -362,6 +364,12 @@ class _SetReader:
     def quality(self, item: Located) -> dict[str, Any]:
         if isinstance(item.value, str):
             return {"quality": self.quality_word(item)}
+        for key in NO_LONGER:
+            if isinstance(item.value, dict) and key in item.value:
+                raise SetError(
+                    f"{item.value[key].key_place}: quality takes no {key!r} any more: word: reference is neither "
+                    f"denoised nor regularized, every other word is both, and samples or target_error end a shot"
+                )
         found = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
         kinds = {
             "word": (str, "a word"),
@@ -369,8 +377,6 @@ class _SetReader:
             "samples": (int, "a whole number"),
             "target_error": (float, "a number"),
             "bands": (int, "a whole number"),
-            "denoise": (bool, "true or false"),
-            "regularize": (bool, "true or false"),
             "cull": (bool, "true or false"),
         }
         for key, value in found.items():
@@ -383,7 +389,7 @@ class _SetReader:
                 if key == "samples":
                     numbers.check_samples(value, "samples")
                 elif key == "target_error":
-                    numbers.check_target(error=value, time_limit_s=None)
+                    numbers.check_target(value)
                 elif key == "bands":
                     numbers.check_bands(value)
                 elif key == "word":

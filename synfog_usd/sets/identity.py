@@ -14,6 +14,7 @@ from typing import Any
 
 from synfog_usd import files, resources
 from synfog_usd.errors import SetError
+from synfog_usd.numbers import QUALITIES, STANDARD
 from synfog_usd.sets import layout
 from synfog_usd.sets.definition import SetDefinition
 
@@ -47,7 +48,7 @@ def identity(found: SetDefinition, variant: str) -> dict[str, Any]:
         "pipelines": {path.stem: camera.load_graph(path).hash for path in found.pipelines},
         "assets": assets_hash() if recipes else None,
         "variant": variant,
-        "versions": library_versions(denoise=bool(found.quality.get("denoise", True))),
+        "versions": library_versions(denoise=QUALITIES[found.quality.get("quality", STANDARD)].clean),
     }
 
 

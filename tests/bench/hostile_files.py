@@ -667,8 +667,8 @@ def commands(folder, file, kind):
         yield "check", [*me, "check", file]
         yield "check --fix", [*me, "check", file, "--fix", str(folder / "mended.usda")]
         few = ["--lighting", "lighting0,lighting1"] if b"lighting0" in Path(file).read_bytes() else []
-        yield "bake", [*me, "bake", file, *small, *few, "--no-denoise"]
-        yield "bake --max-distance", [*me, "bake", file, *small, "--max-distance", "20", "--no-denoise"]
+        yield "bake", [*me, "bake", file, *small, *few, "--quality", "reference"]
+        yield "bake --max-distance", [*me, "bake", file, *small, "--max-distance", "20", "--quality", "reference"]
         yield "preview", [*me, "preview", file, *small, "--terminal", "none"]
     if kind == "graph":
         yield "graph check", [*me, "graph", "check", file]

@@ -121,11 +121,11 @@ def test_every_shot_has_a_folder_of_its_own(asked):
 
 
 def test_a_quality_is_a_word_and_decides_what_is_left_open():
-    """Samples, denoising and regularization are its own unless they are said; another word is refused with a hint."""
+    """Samples are its own unless they are said, and the reference is not clean; another word is refused with a hint."""
     plan = BakePlan(Path("street.usda"), Path("out"))
-    assert (plan.quality, plan.samples, plan.denoise, plan.regularize) == ("standard", 64, True, True)
+    assert (plan.quality, plan.samples, plan.promise.clean) == ("standard", 64, True)
     truth = BakePlan(Path("street.usda"), Path("out"), quality="reference", samples=8)
-    assert (truth.samples, truth.denoise, truth.regularize) == (8, False, False)
+    assert (truth.samples, truth.promise.clean) == (8, False)
     with pytest.raises(ParameterError, match=r"^--quality standart: .* Did you mean 'standard'\?$"):
         BakePlan(Path("street.usda"), Path("out"), quality="standart")
     with pytest.raises(ParameterError, match=r"^--quality None: not known; it takes draft, standard, "):

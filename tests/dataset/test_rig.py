@@ -20,7 +20,7 @@ from synfog_usd.sets.scenes import scene
 from synfog_usd.sets.unit import make
 from synfog_usd.translate import Exchange, exchange
 
-SMALL = dict(size=(48, 28), samples=4, denoise=False, bands=3)
+SMALL = dict(size=(48, 28), quality="reference", samples=4, bands=3)
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_cameras_of_a_set_are_one_rig(tmp_path):
             meter=way,
             pipelines=["noise_free", "synfog"],
             size=[48, 36],
-            quality={"samples": 2, "denoise": False},
+            quality={"word": "reference", "samples": 2},
         )
         for one in scene(found, 0).units:
             told, _ = make(found, tmp_path / name, one)

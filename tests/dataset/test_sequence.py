@@ -32,7 +32,19 @@ def clip(tmp_path_factory):
     (folder / "street.usda").write_text(text)
     done = run(
         *["bake", folder / "street.usda", "-o", folder / "out", "--frames", "0:3", "--adaptation", "0.2"],
-        *["--fog", "clear", "--lighting", "sky", "--resolution", "48x28", "--samples", "4", "--no-denoise", "--json"],
+        *[
+            "--fog",
+            "clear",
+            "--lighting",
+            "sky",
+            "--resolution",
+            "48x28",
+            "--samples",
+            "4",
+            "--quality",
+            "reference",
+            "--json",
+        ],
     )
     assert done.returncode == 0, done.stderr
     return folder / "out", json.loads(done.stdout)
@@ -97,7 +109,19 @@ def test_it_goes_on_where_it_stopped(clip):
     lost.unlink()
     done = run(
         *["bake", out.parent / "street.usda", "-o", out, "--frames", "0:3", "--adaptation", "0.2"],
-        *["--fog", "clear", "--lighting", "sky", "--resolution", "48x28", "--samples", "4", "--no-denoise", "--json"],
+        *[
+            "--fog",
+            "clear",
+            "--lighting",
+            "sky",
+            "--resolution",
+            "48x28",
+            "--samples",
+            "4",
+            "--quality",
+            "reference",
+            "--json",
+        ],
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == found

@@ -70,7 +70,7 @@ def shots(folder, *, seed=0, same_noise=False, cells=CELLS):
     stage, found = stage_of(folder), {}
     for camera, frame in dict.fromkeys(cell[:2] for cell in cells):
         out = folder / f"{camera}-{frame}-{seed}-{same_noise}"
-        options = dict(denoise=False, samples=4, size=SIZE, bands=3, seed=seed, same_noise=same_noise)
+        options = dict(quality="reference", samples=4, size=SIZE, bands=3, seed=seed, same_noise=same_noise)
         plan = dict(pipeline=folder / "graph.yaml", camera=CAMERAS[camera], frame=frame, model="path")
         bake(BakePlan(stage, out, **plan, **options, lighting=("sky", "active"), fog=("clear", "mor150")))
         for cell in cells:

@@ -45,7 +45,7 @@ def pair(tmp_path_factory):
         fog=("clear",),
         size=(WIDTH, 90),
         samples=2,
-        denoise=False,
+        quality="reference",
         bands=3,
     )
     bake_cameras(BakePlan(path, folder / "out", **plan), ["/World"])

@@ -204,7 +204,8 @@ def test_the_picture_is_that_of_the_street_written_by_hand(varied, tmp_path):
             "1024",
             "--target-error",
             "0.02",
-            "--no-denoise",
+            "--quality",
+            "reference",
             "--json",
             *more,
         ]

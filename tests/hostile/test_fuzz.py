@@ -523,7 +523,7 @@ def test_any_damaged_graph_is_loaded_or_told(tmp_path_factory, damage):
 
 
 OPTIONS = (
-    *("--resolution", "--samples", "--time-limit", "--target-error", "--bands", "--frame", "--fog", "--lighting"),
+    *("--resolution", "--samples", "--target-error", "--bands", "--frame", "--fog", "--lighting"),
     *(
         "--camera",
         "--choose",

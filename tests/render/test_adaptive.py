@@ -35,11 +35,6 @@ def test_an_adaptive_render_repeats_byte_for_byte():
     assert one == other
 
 
-def test_time_is_the_third_stop():
-    """A limit that is over at once leaves the first round only."""
-    assert render(FOGGY, model="path", samples=4096, time_limit_s=1e-6).samples == 32
-
-
 def test_the_sensors_target_is_a_third_of_its_noise():
     """Two noises that come together grow by the square: 5 % more than the sensor's alone."""
     noise = adaptive.sensor_target(lambda luminance: 0.5 * np.sqrt(luminance))(np.array([4.0]))[0]
@@ -51,7 +46,6 @@ def test_the_sensors_target_is_a_third_of_its_noise():
     [
         ({"target_error": 0.0}, "--target-error"),
         ({"target_error": 2.0}, "--target-error"),
-        ({"time_limit_s": 0.0}, "--time-limit"),
     ],
 )
 def test_a_target_out_of_range_is_refused(wrong, words):

@@ -40,7 +40,18 @@ def test_a_bake_there_has_the_light_of_the_processor(cuda, tmp_path, fog):
         means.append([])
         for seed in range(4):
             out = tmp_path / f"{variant}{seed}"
-            words = ["--variant", variant, "--seed", seed, "--resolution", SIZE, "--samples", 256, "--no-denoise"]
+            words = [
+                "--variant",
+                variant,
+                "--seed",
+                seed,
+                "--resolution",
+                SIZE,
+                "--samples",
+                256,
+                "--quality",
+                "reference",
+            ]
             done = process("bake", tmp_path / "street.usda", "-o", out, "--lighting", "sky", "--fog", fog, *words)
             assert done.returncode == 0, done.stderr
             assert json.loads((out / "bake.json").read_text())["plan"]["variant"].startswith(variant)

@@ -155,7 +155,7 @@ def test_a_file_is_decoded_once_a_bake(stage, tmp_path, monkeypatch):
     """Each of its two lightings is translated anew."""
     decoded, before = [], texture.ImageReader._decode
     monkeypatch.setattr(texture.ImageReader, "_decode", lambda *words: (decoded.append(words[2]), before(*words))[1])
-    plan = BakePlan(stage=stage, out=tmp_path / "out", size=(24, 14), samples=2, model="single", denoise=False)
+    plan = BakePlan(stage=stage, out=tmp_path / "out", size=(24, 14), samples=2, model="single", quality="reference")
     made = bake(plan)
     assert len({shot["lighting"] for shot in made.manifest["shots"]}) == 2
     assert decoded == [str(stage.parent / "picture.png")]

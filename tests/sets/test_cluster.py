@@ -88,7 +88,7 @@ def test_a_running_scheduler_is_joined_and_its_end_is_told(tmp_path):
     words = "synfog: set/1\nscenes: 2\nstages: ['*.usda']\nlightings: [sky]\nfogs: [150]\nsize: [24, 14]\n"
     for number in range(2):
         (tmp_path / f"{number}.usda").write_text(street())
-    (tmp_path / "tiny.yaml").write_text(words + "quality: {samples: 2, model: single, denoise: false}\n")
+    (tmp_path / "tiny.yaml").write_text(words + "quality: {word: reference, samples: 2, model: single}\n")
     place = tmp_path / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
     options = ["--scheduler-file", str(place)]

@@ -119,6 +119,13 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
         ("scenes: 4\nrecipes: [tunnel]\nquality: {samples: 0}", r"own.yaml:4:20: quality.samples: samples 0: outside"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {model: pth}", r"own.yaml:4:18: quality.model: .*pth"),
         ("scenes: 4\nrecipes: [tunnel]\nquality: fast", r"own.yaml:4:10: quality fast: not known; it takes draft, "),
+        *(
+            (
+                f"scenes: 4\nrecipes: [tunnel]\nquality: {{samples: 8, {key}: 1}}",
+                rf"own.yaml:4:23: quality takes no '{key}' any more: word: reference is neither denoised nor regular",
+            )
+            for key in ("denoise", "regularize", "time_limit")
+        ),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {word: drft}", r"own.yaml:4:17: quality.word: word drft: .*'draft'"),
         (
             "scenes: 4\nrecipes: [tunnel]\nsplits: {test: {models: [bus]}}",

@@ -21,7 +21,7 @@ lightings: [sky]
 fogs: [clear]
 pipelines: [synfog]
 size: [32, 18]
-quality: {samples: 2, model: single, denoise: false}
+quality: {word: reference, samples: 2, model: single}
 splits:
   train: 1
   test: {share: 1, recipes: [rural], models: [hatchback, city_car], skies: [altocumulus_morning]}

@@ -29,7 +29,7 @@ fogs: [clear, {integer: [80, 300]}]
 pipelines: [synfog, noise_free]
 asm_estimated: [noise_free]
 size: [24, 14]
-quality: {samples: 2, model: single, denoise: false}
+quality: {word: reference, samples: 2, model: single}
 """
 OUTPUTS = {"raw.dng", "srgb.png"}
 

@@ -56,7 +56,7 @@ scenes: 3
 stages: ["*.usda"]
 fogs: [clear, 150]
 size: [24, 14]
-quality: {samples: 2, model: single, denoise: false}
+quality: {word: reference, samples: 2, model: single}
 """
 
 

@@ -1,7 +1,7 @@
 """When to stop: samples where the error still is, until the target is met or they are used up.
 
 Takes an integrator and a `Target`; gives an `Accumulator`.  What decides is counted in paths and their fixed costs,
-never in seconds, so that the same seed gives the same bytes on any machine; only `Target.time_s` is a clock's.
+never in seconds, so that the same seed gives the same bytes on any machine.
 """
 
 from __future__ import annotations
@@ -69,20 +69,17 @@ class Target:
         sigma: luminance (P,) [cd m-2] -> standard error [cd m-2] that is good enough, or None; the sensor's noise.
         mottle: what may be left of clouds in a denoised picture, see `dualbuffer.mottle`; or None.
         samples: most paths per pixel, on average over the image.
-        time_s: wall seconds after which no new round is begun, or None; a render that ends by it does not repeat byte
-            for byte.
     """
 
     relative: float | None = None
     sigma: Callable[[Array], Array] | None = None
     samples: int = 64
-    time_s: float | None = None
     mottle: float | None = None
 
     @property
     def open(self) -> bool:
         """Whether the number of samples is the only thing that counts."""
-        return self.relative is None and self.sigma is None and self.time_s is None and self.mottle is None
+        return self.relative is None and self.sigma is None and self.mottle is None
 
     def allowed(self, luminance: Array) -> Array:
         """Standard error [cd m-2] that is good enough for each pixel."""
@@ -123,16 +120,15 @@ def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
 
 
 def accumulate_to_target(
-    integrator: Integrator, *, target: Target, seed: int, now: Callable[[], float], progress: Progress = silent
+    integrator: Integrator, *, target: Target, seed: int, progress: Progress = silent
 ) -> Accumulator:
-    """Sample until the target is met or the samples or the time are used up; more where the error still is.
+    """Sample until the target is met or the samples are used up; more where the error still is.
 
     A pixel's variance is judged with its neighbours': by itself it would stop at the
     moments when it happens to look small, and those are the dark ones.
 
     Args:
         integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
-        now: seconds since the shot was begun.
     """
     if not isinstance(integrator, FogPath) or target.open:
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
@@ -142,7 +138,7 @@ def accumulate_to_target(
     spent: float = min(2 * CHUNK, max(2, target.samples))
     first = allocation(accumulated, int(spent))
     add_samples(accumulated, integrator, everywhere, first, seed, within(progress, 0.0, spent / target.samples))
-    while spent < target.samples and spent >= 2 * CHUNK and (target.time_s is None or now() < target.time_s):
+    while spent < target.samples and spent >= 2 * CHUNK:
         need = _needed(
             accumulated.luminance(), accumulated.luminance_variance(), target, (camera.height_px, camera.width_px)
         )
@@ -169,14 +165,13 @@ def accumulate_denoised(
     *,
     target: Target,
     seed: int,
-    now: Callable[[], float],
     denoised: Callable[[Accumulator], tuple[Array, Error] | None],
     progress: Progress = silent,
 ) -> Accumulator:
-    """Sample all pixels alike, until the denoised picture meets the target or the samples or the time are used up.
+    """Sample all pixels alike, until the denoised picture meets the target or the samples are used up.
 
     Args:
-        integrator, now: as `accumulate_to_target` takes them.
+        integrator: as `accumulate_to_target` takes it.
         denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
     """
     if not isinstance(integrator, FogPath):
@@ -194,7 +189,7 @@ def accumulate_denoised(
             more = allocation(accumulated, number, denoised=True)
             add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
         spent, share = after, reach
-        if spent >= target.samples or (target.time_s is not None and now() >= target.time_s):
+        if spent >= target.samples:
             break
         needed = _times_before_denoising(accumulated, target)
         if needed <= 1.0 and (picture := denoised(accumulated)) is not None:
