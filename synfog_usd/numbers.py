@@ -7,6 +7,7 @@ Takes numbers; raises for those out of range, in the words of the command line. 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from synfog_usd.errors import ParameterError, did_you_mean
@@ -55,6 +56,11 @@ BANDS = (8, 16, 31)
 
 LEAST_MOR_M = 0.03
 """Visibility [m] of the densest fog, with an extinction of 100 1/m."""
+
+FOG_WORDS = ("albedo", "g", "phase", "diameter", "angstrom", "profile", "scale")
+"""What may stand behind the visibility in a fog's name, as in mor150_g0.8."""
+
+_FOG = re.compile(rf"mor(\d+(?:\.\d+)?)((?:_(?:{'|'.join(FOG_WORDS)})-?[a-z\d.]+)*)")
 
 UNITS_M = (1e-6, 1e3)
 """Lengths of a stage's unit [m]: from micrometres to kilometres."""
@@ -125,6 +131,18 @@ def check_light(*, scale: float, sun_lux: float | None) -> None:
         raise ParameterError(
             f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out"
         )
+
+
+def fog_words(name: str) -> tuple[float, dict[str, str]] | None:
+    """Visibility [m] that a fog's name says to any stage, and what it says besides; None of a variant's name.
+
+    >>> fog_words("mor150"), fog_words("mor75.5_g0.8_scale20"), fog_words("dense")
+    ((150.0, {}), (75.5, {'g': '0.8', 'scale': '20'}), None)
+    """
+    if (match := _FOG.fullmatch(name)) is None or float(match[1]) == 0.0:
+        return None
+    said = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[2])
+    return float(match[1]), dict(said)
 
 
 def check_visibility(name: str, metres: float) -> None:

@@ -123,7 +123,7 @@ def bake(
                 f"{note.path or plan.stage}: {note.text}" for note in scenes.notes(every) if note.severity == "warning"
             )
         )
-    if all(shot.mor_m is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
+    if all(shot.asked is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
         free = next(name for name in ("mor150", "mor200", "mor250") if name not in usd.variants(stage).get("fog", ()))
         log(
             f"{plan.stage}: no fog in it, and none was asked for: baking clear air. --fog {free} adds fog; a closed "

@@ -6,9 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from synfog_usd import numbers
 from synfog_usd.errors import ParameterError, did_you_mean
+
+if TYPE_CHECKING:
+    from synfog_usd.fog import Fog
 
 AS_AUTHORED = "authored"
 """Name of the lighting or fog that a stage has where none of its variants is chosen, as where it has none."""
@@ -183,7 +187,7 @@ class Shot:
     Attributes:
         lighting, fog: variant names, or AS_AUTHORED.
         lighting_variant, fog_variant: the stage's variants to select, or None.
-        mor_m: visibility [m] that replaces the stage's, inf for clear air, or None.
+        asked: fog over the stage's own, or None.
         by_lighting: see `BakePlan`.
     """
 
@@ -191,7 +195,7 @@ class Shot:
     fog: str
     lighting_variant: str | None
     fog_variant: str | None
-    mor_m: float | None = None
+    asked: Fog | None = None
     by_lighting: bool = True
 
     @property
@@ -211,6 +215,8 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
         ParameterError: a name that neither the stage nor the tool knows, several lightings in one folder, or more than
             `MOST_UNASKED` shots.
     """
+    from synfog_usd.fog import Fog  # numpy, which a plan that is refused at once does without
+
     lights = _chosen("lighting", plan.lighting, variants.get("lighting", ()))
     if len(lights) > 1 and not plan.by_lighting:
         raise ParameterError(f"{plan.out}: {len(lights)} lightings need folders of their own")
@@ -225,9 +231,9 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
     for lighting in lights:
         for fog in fogs:
             lit, offered = lighting in variants.get("lighting", ()), fog in variants.get("fog", ())
-            mor = None if offered else visibility_of(fog)
+            asked = None if offered else Fog.named(fog)
             found.append(
-                Shot(lighting, fog, lighting if lit else None, fog if offered else None, mor, plan.by_lighting)
+                Shot(lighting, fog, lighting if lit else None, fog if offered else None, asked, plan.by_lighting)
             )
     folders: dict[str, str] = {}
     for shot in found:
@@ -277,5 +283,5 @@ def visibility_of(name: str) -> float | None:
     """
     if name == CLEAR:
         return float("inf")
-    match = re.fullmatch(r"mor(\d+(?:\.\d+)?)", name)
-    return float(match.group(1)) if match and float(match.group(1)) > 0 else None
+    found = numbers.fog_words(name)
+    return found[0] if found else None

@@ -56,7 +56,7 @@ class Scenes:
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(
-                self.stage, **choices, rig=plan.rig[1:], fog_mor_m=shot.mor_m, before=before
+                self.stage, **choices, rig=plan.rig[1:], fog=shot.asked, before=before
             )
         made = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
@@ -64,9 +64,9 @@ class Scenes:
         if fresh and plan.camera == first:
             self.known[shot] = self.seen(made.scene)
             return self.known[shot]
-        scene = made.within(self.stage, fog_mor_m=shot.mor_m, camera=plan.camera)
+        scene = made.within(self.stage, fog=shot.asked, camera=plan.camera)
         if scene is None:
-            return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog_mor_m=shot.mor_m))
+            return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.asked))
         self.known[shot] = self.seen(scene)
         return self.known[shot]
 
@@ -170,4 +170,4 @@ def cleared(stage: Any, shot: Shot) -> Shot:
     from synfog_usd import stage as usd
 
     clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
-    return replace(shot, fog_variant=clear or shot.fog_variant, mor_m=None)
+    return replace(shot, fog_variant=clear or shot.fog_variant, asked=None)

@@ -1,6 +1,7 @@
 """Fog: how strongly, and where to, it scatters light; where it begins and ends."""
 
+from synfog_usd.fog.choice import Fog
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
 from synfog_usd.fog.volume import Boundary, FogVolume
 
-__all__ = ["Boundary", "FogMedium", "FogVolume", "extinction_from_visibility"]
+__all__ = ["Boundary", "Fog", "FogMedium", "FogVolume", "extinction_from_visibility"]

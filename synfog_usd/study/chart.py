@@ -504,9 +504,9 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     )
     shot = shots(asked, usd.variants(stage))[0]
     if plan.fog is None:
-        shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, mor_m=None)
+        shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, asked=None)
     if plan.lighting is None:
         shot = replace(shot, lighting=AS_AUTHORED, lighting_variant=None)
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
     named = ", ".join(name for name in (shot.lighting, shot.fog) if name != AS_AUTHORED)
-    return translate(stage, camera=plan.camera, resolution=plan.size, fog_mor_m=shot.mor_m), named or "as authored"
+    return translate(stage, camera=plan.camera, resolution=plan.size, fog=shot.asked), named or "as authored"

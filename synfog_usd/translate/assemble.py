@@ -19,7 +19,7 @@ from pxr import Sdf, Usd
 
 from synfog_usd.arrays import Array, extent
 from synfog_usd.errors import StageError
-from synfog_usd.fog import FogVolume
+from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict, boxes
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
@@ -56,7 +56,7 @@ def translate(
     camera: str | None = None,
     frame: float | None = None,
     resolution: tuple[int, int] | None = None,
-    fog_mor_m: float | None = None,
+    fog: Fog | None = None,
     lights: str = "auto",
     light_scale: float = 1.0,
     sun_lux: float | None = None,
@@ -70,8 +70,8 @@ def translate(
             with samples, else default values.
         resolution: (width, height) [px]; None for the render settings', else 1280
             pixels wide.
-        fog_mor_m: visibility [m] for the outermost fog instead of the authored one;
-            0 or inf for clear air.  A stage without fog gets a layer of it.
+        fog: for the outermost fog instead of the authored one, or clear air.  A stage
+            without fog gets a layer of it.
         lights: how intensities are meant: 'usd' (UsdLux 25.05), 'blender',
             'rtx-legacy', 'metric' (normalize divides by m2), or 'auto', by the
             program that wrote the layer in which they stand.
@@ -92,7 +92,7 @@ def translate(
         "light_scale": light_scale,
         "sun_lux": sun_lux,
     }
-    return with_boundaries(stage, fog_mor_m=fog_mor_m, **choices)[0]
+    return with_boundaries(stage, fog=fog, **choices)[0]
 
 
 class Outlook(NamedTuple):
@@ -120,7 +120,7 @@ def with_boundaries(
     camera: str | None,
     frame: float | None,
     resolution: tuple[int, int] | None,
-    fog_mor_m: float | None,
+    fog: Fog | None,
     lights: str,
     light_scale: float,
     sun_lux: float | None,
@@ -129,7 +129,6 @@ def with_boundaries(
     """What `translate` gives, the paths of all fog boundaries of the stage, whatever visibility is asked for, and what
     was looked at; of `made` what stands on the stage as before is taken, and what is new is added.
     """
-    check_visibility(fog_mor_m)
     check_depth(stage)
     notes, given = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
@@ -147,7 +146,7 @@ def with_boundaries(
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
     bounds = scene.bounds(eye.to_world[:3, 3])
-    fog = fog_around(scene.fog, fog_mor_m, eye, bounds, notes)
+    around = fog_around(scene.fog, fog, eye, bounds, notes)
     if len(names := sorted(set(scene.group_of.values()))) > MOST:
         raise StageError(
             f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps "
@@ -157,7 +156,7 @@ def with_boundaries(
     complete = SceneDict(
         world=world,
         camera=eye,
-        fog=fog,
+        fog=around,
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
         group_of=scene.group_of,
@@ -250,16 +249,6 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
     return Usd.TimeCode.Default()
 
 
-def check_visibility(mor_m: float | None) -> None:
-    """Refuse a visibility below 0.
-
-    Raises:
-        StageError: it is.
-    """
-    if mor_m is not None and not mor_m >= 0.0:
-        raise StageError(f"a visibility of {mor_m} m is below 0; 0 or inf is clear air")
-
-
 def looked_from(
     stage: Usd.Stage, camera: str | None, frame: float | None, resolution: tuple[int, int] | None, notes: Diagnostics
 ) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
@@ -275,13 +264,13 @@ def looked_from(
 
 
 def fog_around(
-    found: list[FogVolume], mor_m: float | None, eye: Camera, bounds_m: Array, notes: Diagnostics
+    found: list[FogVolume], asked: Fog | None, eye: Camera, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    """Fog volumes within each other and with the visibility that is asked for, where the camera may stand."""
+    """Fog volumes within each other and with the fog that is asked for, where the camera may stand."""
     volume.refuse_many(found)
     fog = volume.nested(found)
-    if mor_m is not None:
-        fog = _overridden(fog, mor_m, eye.to_world[:3, 3], bounds_m, notes)
+    if asked is not None:
+        fog = _overridden(fog, asked, eye.to_world[:3, 3], bounds_m, notes)
     volume.refuse_cut(fog, eye)
     if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
@@ -289,11 +278,11 @@ def fog_around(
 
 
 def _overridden(
-    fog: tuple[FogVolume, ...], mor_m: float, eye: Array, bounds_m: Array, notes: Diagnostics
+    fog: tuple[FogVolume, ...], asked: Fog, eye: Array, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    if fog or mor_m == 0.0 or math.isinf(mor_m):
-        return volume.with_visibility(fog, mor_m)
-    made = volume.slab_around(mor_m, bounds_m[0], bounds_m[1], eye)
+    if fog or asked.clear:
+        return volume.in_fog(fog, asked)
+    made = volume.slab_around(asked, bounds_m[0], bounds_m[1], eye)
     size = 2.0 * np.diag(made.boundary.to_world)[:3]
     notes.info(
         "",

@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from synfog_usd.arrays import Array
-from synfog_usd.fog import FogVolume
+from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Note, SceneDict
 from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import said_of
@@ -23,7 +23,6 @@ from synfog_usd.translate import volume
 from synfog_usd.translate.assemble import (
     Outlook,
     TakenOver,
-    check_visibility,
     fog_around,
     looked_from,
     with_boundaries,
@@ -43,7 +42,7 @@ class Exchange:
     Args:
         stage: with its variants chosen.
         rig: prim paths of further cameras, which look at the same moment.
-        camera, frame, resolution, fog_mor_m, lights, light_scale, sun_lux: see `translate`.
+        camera, frame, resolution, fog, lights, light_scale, sun_lux: see `translate`.
         before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
 
     Attributes:
@@ -60,7 +59,7 @@ class Exchange:
         camera: str | None = None,
         frame: float | None = None,
         resolution: tuple[int, int] | None = None,
-        fog_mor_m: float | None = None,
+        fog: Fog | None = None,
         lights: str = "auto",
         light_scale: float = 1.0,
         sun_lux: float | None = None,
@@ -71,23 +70,21 @@ class Exchange:
         light = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
         self._made = TakenOver() if before is None else before._made
         self.scene, boundaries, seen = with_boundaries(
-            stage, camera=camera, frame=frame, resolution=resolution, fog_mor_m=fog_mor_m, **light, made=self._made
+            stage, camera=camera, frame=frame, resolution=resolution, fog=fog, **light, made=self._made
         )
         self._moment = seen.time, half_exposure(seen.stage, seen.time, seen.eye.path)
         self._origin_m = seen.space.origin_m
         looked = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]
         self.scene = replace(self.scene, beside=tuple(eye for *_, eye in looked if eye is not None))
-        begun = self._read(stage, fog_mor_m, seen)
+        begun = self._read(stage, fog, seen)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 
-    def within(
-        self, stage: Usd.Stage, *, fog_mor_m: float | None = None, camera: str | None = None
-    ) -> SceneDict | None:
+    def within(self, stage: Usd.Stage, *, fog: Fog | None = None, camera: str | None = None) -> SceneDict | None:
         """The scene in the fog that is now chosen on the stage.
 
         Args:
             stage: the same, with no other variants chosen than of the fog.
-            fog_mor_m: see `translate`.
+            fog: see `translate`.
             camera: one of the rig that looks instead; its scene has the same origin.
 
         Returns:
@@ -98,7 +95,7 @@ class Exchange:
             StageError: fog that makes no sense.
         """
         if camera is None or camera == self.scene.camera.path:
-            begun, now = self._begun, self._read(stage, fog_mor_m)
+            begun, now = self._begun, self._read(stage, fog)
             if begun is None or now is None or not _only_fog(begun, now):
                 return None
             return replace(self.scene, fog=now.fog, notes=now.notes)
@@ -107,7 +104,7 @@ class Exchange:
         if eye is None:
             return None
         seen = Outlook(posed, time, space, eye, walk(posed, time, Diagnostics()))
-        begun, now = self._begun, self._read(stage, fog_mor_m, seen)
+        begun, now = self._begun, self._read(stage, fog, seen)
         if begun is None or now is None or not _only_fog(begun, now):
             return None
         others = (one for one in (self.scene.camera, *self.scene.beside) if one.path != camera)
@@ -132,8 +129,7 @@ class Exchange:
         same = (time, half_exposure(stage, time, eye.path)) == self._moment
         return stage, time, replace(space, origin_m=self._origin_m), replace(eye, to_world=place) if same else None
 
-    def _read(self, stage: Usd.Stage, fog_mor_m: float | None, seen: Outlook | None = None) -> _Fogs | None:
-        check_visibility(fog_mor_m)
+    def _read(self, stage: Usd.Stage, fog: Fog | None, seen: Outlook | None = None) -> _Fogs | None:
         said = said_of(stage, FOG_VARIANT_SET)
         if said is None:
             return None
@@ -151,11 +147,17 @@ class Exchange:
             if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None
         ]
         bounds = _around(self.scene.bounds_m, eye.to_world[:3, 3])
-        fog = fog_around(volumes, fog_mor_m, eye, bounds, notes)
+        around = fog_around(volumes, fog, eye, bounds, notes)
         boundaries = tuple(part.path for part in volumes)
         paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
         return _Fogs(
-            chosen, said, others - paths, paths, boundaries, fog, notes.closed(lambda path: authored_path(stage, path))
+            chosen,
+            said,
+            others - paths,
+            paths,
+            boundaries,
+            around,
+            notes.closed(lambda path: authored_path(stage, path)),
         )
 
 

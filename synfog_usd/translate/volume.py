@@ -20,7 +20,7 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.arrays import Array, distinct
 from synfog_usd.errors import ParameterError, StageError, did_you_mean
-from synfog_usd.fog import Boundary, FogMedium, FogVolume, extinction_from_visibility
+from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
@@ -182,23 +182,20 @@ def _extent(boundary: Boundary) -> Array:
     return np.stack([boundary.to_world[:3, 3] - reach, boundary.to_world[:3, 3] + reach])
 
 
-def with_visibility(volumes: tuple[FogVolume, ...], mor_m: float) -> tuple[FogVolume, ...]:
-    """The same volumes with another visibility in the outermost ones; none for 0 or infinity."""
-    if mor_m == 0.0 or math.isinf(mor_m):
+def in_fog(volumes: tuple[FogVolume, ...], fog: Fog) -> tuple[FogVolume, ...]:
+    """The same volumes with another fog in the outermost ones; none for clear air."""
+    if fog.clear:
         return ()
-    sigma_t = float(extinction_from_visibility(mor_m))
     return tuple(
-        volume
-        if volume.parent is not None
-        else replace(volume, medium=replace(volume.medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST))
-        for volume in volumes
+        volume if volume.parent is not None else replace(volume, medium=fog.over(volume.medium)) for volume in volumes
     )
 
 
-def slab_around(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
+def slab_around(fog: Fog, low: Array, high: Array, eye: Array) -> FogVolume:
     """A slab of fog around everything, for a stage that has no fog of its own.
 
     Args:
+        fog: what fills it.
         low, high: (3,) corners [m] of what is drawn.
         eye: (3,) camera position [m].
     """
@@ -207,7 +204,7 @@ def slab_around(mor_m: float, low: Array, high: Array, eye: Array) -> FogVolume:
     half = max(SLAB_HALF_WIDTH_M, float(np.abs(np.stack([low - eye, high - eye])[:, :2]).max()) * 1.01)
     to_world = scaled(half, half, (top - bottom) / 2.0)
     to_world[:3, 3] = eye[0], eye[1], (top + bottom) / 2.0
-    return FogVolume("", Boundary("box", to_world), replace(FogMedium.from_visibility(mor_m), base_height_m=bottom))
+    return FogVolume("", Boundary("box", to_world), fog.over(FogMedium(1.0, base_height_m=bottom)))
 
 
 def refuse_many(fog: Sequence[FogVolume]) -> None:

@@ -38,6 +38,7 @@ from cycles_scene import export, simplified
 
 from synfog_usd import stage as usd
 from synfog_usd.arrays import Array
+from synfog_usd.fog import Fog
 from synfog_usd.render import models, shot
 from synfog_usd.render.lights import photometric
 from synfog_usd.scene import SceneDict
@@ -100,7 +101,7 @@ def scene_of(street: Street, size: tuple[int, int], folder: Path) -> SceneDict:
     fogs = usd.variants(stage)["fog"]
     foggy = next(name for name in fogs if name != "clear")
     usd.select(stage, fog="clear" if street.mor_m is None else foggy, lighting=street.lighting)
-    return translate(stage, resolution=size, fog_mor_m=street.mor_m)
+    return translate(stage, resolution=size, fog=street.mor_m and Fog(street.mor_m))
 
 
 def matt(scene: SceneDict) -> SceneDict:

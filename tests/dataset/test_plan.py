@@ -1,12 +1,12 @@
 """What a bake will make, before anything is opened."""
 
-import math
 from pathlib import Path
 
 import pytest
 
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, shots
 from synfog_usd.errors import ParameterError
+from synfog_usd.fog import Fog
 
 OFFERED = {"fog": ("clear", "mor600", "mor150"), "lighting": ("sky", "active")}
 
@@ -27,7 +27,7 @@ def test_all_lightings_in_all_fogs_unless_asked():
         "active/mor150",
     ]
     assert all(
-        (shot.lighting_variant, shot.fog_variant, shot.mor_m) == (shot.lighting, shot.fog, None) for shot in found
+        (shot.lighting_variant, shot.fog_variant, shot.asked) == (shot.lighting, shot.fog, None) for shot in found
     )
 
 
@@ -59,15 +59,15 @@ def test_any_visibility_can_be_asked_for_by_its_metres(name, metres):
     fog selected.
     """
     (shot,) = planned(lighting=("sky",), fog=(name,))
-    assert (shot.fog, shot.fog_variant, shot.mor_m) == (name, name if metres is None else None, metres)
+    assert (shot.fog, shot.fog_variant, shot.asked) == (name, None, Fog(metres)) if metres else (name, name, None)
 
 
 def test_clear_air_needs_no_variant():
     """Infinite visibility where the stage has no variant of that name; the variant where it has one."""
     (bare,) = planned({}, fog=("clear",))
-    assert bare.fog_variant is None and math.isinf(bare.mor_m) and bare.folder == "authored/clear"
+    assert bare.fog_variant is None and bare.asked.clear and bare.folder == "authored/clear"
     (variant,) = planned(fog=("clear",), lighting=("sky",))
-    assert variant.fog_variant == "clear" and variant.mor_m is None
+    assert variant.fog_variant == "clear" and variant.asked is None
 
 
 @pytest.mark.parametrize(

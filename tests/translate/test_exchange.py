@@ -9,6 +9,7 @@ from support.stages import street
 
 from synfog_usd import resources
 from synfog_usd import stage as usd
+from synfog_usd.fog import Fog
 from synfog_usd.translate import Exchange, translate
 
 THICK = """        "mor150" {
@@ -58,9 +59,9 @@ def test_each_fog_is_as_if_it_were_translated(begin, mor_m):
     exchange = Exchange(stage, resolution=(32, 18))
     for name in ("clear", "mor600", "mor150"):
         usd.select(stage, fog=name)
-        found = exchange.within(stage, fog_mor_m=mor_m)
+        found = exchange.within(stage, fog=mor_m and Fog(mor_m))
         assert found is not None and found.world is exchange.scene.world
-        same(found, translate(stage, resolution=(32, 18), fog_mor_m=mor_m))
+        same(found, translate(stage, resolution=(32, 18), fog=mor_m and Fog(mor_m)))
 
 
 @pytest.mark.parametrize("name", [pytest.param("crossroads", marks=pytest.mark.slow), "bench/fog_bank"])

@@ -15,7 +15,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 
 from synfog_usd.errors import StageError
-from synfog_usd.fog import Boundary, FogMedium, FogVolume
+from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume
 from synfog_usd.fog.phase import Droplets
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
@@ -417,19 +417,19 @@ def test_crossing_fog_is_refused_with_both_names(empty):
         translate(stage)
 
 
-@pytest.mark.parametrize("mor_m, wanted", [(150.0, [150.0, 60.0]), (math.inf, []), (0.0, []), (None, [300.0, 60.0])])
+@pytest.mark.parametrize("mor_m, wanted", [(150.0, [150.0, 60.0]), (math.inf, []), (None, [300.0, 60.0])])
 def test_another_visibility_goes_to_the_outermost_fog(empty, mor_m, wanted):
     stage = empty()
     fog_box(stage, "/Layer", half=50.0, mor=300.0)
     fog_box(stage, "/Bank", half=5.0, mor=60.0)
-    np.testing.assert_allclose([v.medium.visibility_m for v in translate(stage, fog_mor_m=mor_m).fog], wanted)
+    np.testing.assert_allclose([v.medium.visibility_m for v in translate(stage, fog=mor_m and Fog(mor_m)).fog], wanted)
 
 
 def test_a_stage_without_fog_gets_a_layer_when_asked(empty):
     stage = empty()
     UsdGeom.Cube.Define(stage, "/House").AddTranslateOp().Set((0, 3000.0, 0))
     assert translate(stage).fog == ()
-    scene = translate(stage, fog_mor_m=150.0)
+    scene = translate(stage, fog=Fog(150.0))
     (layer,) = scene.fog
     np.testing.assert_allclose(layer.medium.visibility_m, 150.0)
     assert layer.boundary.contains([scene.camera.to_world[:3, 3], (0, 3000, 0), (-1500, 0, 50)]).all()

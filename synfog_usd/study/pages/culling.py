@@ -162,11 +162,12 @@ def _squares(picture: Array) -> Array:
 def foggy(stage: Path, lighting: str, visibility_m: float) -> SceneDict:
     """A stage in one lighting and fog, small."""
     from synfog_usd import stage as usd
+    from synfog_usd.fog import Fog
     from synfog_usd.translate import translate
 
     opened = usd.open_stage(stage)
     usd.select(opened, fog=None, lighting=lighting)
-    return translate(opened, resolution=SIZE, fog_mor_m=visibility_m)
+    return translate(opened, resolution=SIZE, fog=Fog(visibility_m))
 
 
 def measured(cases: Iterable[tuple[str, str, float]] = CASES) -> list[Saving]:

@@ -1,0 +1,71 @@
+"""Fog that is asked for: its name, and what it does to the fog of a stage."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.errors import ParameterError
+from synfog_usd.fog import Fog, FogMedium
+from synfog_usd.fog.phase import Droplets
+
+SAID = (
+    Fog(math.inf),
+    Fog(150),
+    Fog(75.5, albedo=0.98, g=-0.3),
+    Fog(40, phase="droplets", droplet_diameter_um=8.25),
+    Fog(1e5, angstrom=1.3, profile="exponential", scale_height_m=30),
+    Fog(0.03, profile="uniform", phase="hg"),
+)
+
+
+@pytest.mark.parametrize("fog", SAID, ids=[fog.name for fog in SAID])
+def test_a_name_says_all_of_a_fog(fog):
+    """What a name was made of is read from it again; a bake's folder and manifest need no more."""
+    assert Fog.named(fog.name) == fog
+    assert BakePlan(Path("street.usda"), Path("out"), fog=(fog.name,)).fog == (fog.name,)
+
+
+@pytest.mark.parametrize("name", ["dense", "mor", "mor0", "mor-5", "mor150_", "mor150_x3", "mor150 g0.8", "MOR150"])
+def test_other_names_are_a_stage_s_own(name):
+    assert Fog.named(name) is None
+
+
+def test_fog_goes_over_what_is_there_and_leaves_the_rest():
+    """Koschmieder's extinction of the visibility; the albedo and the base height stay."""
+    own = FogMedium(0.5, albedo=0.9, g=0.3, base_height_m=-2.0, contrast=0.02)
+    plain, more = (
+        Fog(100.0).over(own),
+        Fog(100.0, scale_height_m=20.0, phase="droplets", droplet_diameter_um=10).over(own),
+    )
+    np.testing.assert_allclose(plain.sigma_t_per_m, math.log(20.0) / 100.0, rtol=1e-15)
+    assert dataclasses.replace(plain, sigma_t_per_m=0.5, contrast=0.02) == own
+    assert (more.albedo, more.base_height_m, more.profile, more.scale_height_m) == (0.9, -2.0, "exponential", 20.0)
+    assert more.phase == Droplets(10.0)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"mor_m": -3},
+        {"mor_m": 0.01},
+        {"mor_m": "far"},
+        {"mor_m": math.nan},
+        {"mor_m": True},
+        {"mor_m": 150, "albedo": 2},
+        {"mor_m": 150, "g": "forward"},
+        {"mor_m": 150, "phase": "rayleigh"},
+        {"mor_m": 150, "phase": "droplets"},
+        {"mor_m": 150, "droplet_diameter_um": 8},
+        {"mor_m": 150, "phase": "droplets", "droplet_diameter_um": 8, "g": 0.8},
+        {"mor_m": 150, "profile": "grid"},
+        {"mor_m": 150, "scale_height_m": 0},
+    ],
+    ids=str,
+)
+def test_what_no_fog_is_like_is_refused(said):
+    with pytest.raises(ParameterError):
+        Fog(**said)
