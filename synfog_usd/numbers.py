@@ -1,7 +1,8 @@
 """Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the
 renderer.
 
-Takes numbers; raises for those out of range, in the words of the command line.  Imports nothing heavy.
+Takes numbers, or the text in which they are typed; raises for those out of range, in the words of the command line.
+Imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -203,6 +204,60 @@ def seconds_of(text: str, option: str = "--exposure") -> float:
     if not 0.0 < found < math.inf:
         raise ParameterError(f"{option} {text}: it takes seconds above 0, as 1/200 or 0.005")
     return found
+
+
+def names_of(text: str | None, option: str) -> tuple[str, ...] | None:
+    """Names that stand between commas; None of None.
+
+    Raises:
+        ParameterError: there is none.
+
+    >>> names_of("clear, mor150", "--fog")
+    ('clear', 'mor150')
+    """
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise ParameterError(f"{option} {text!r}: no name in it; separate names by commas")
+    return names
+
+
+def counts_of(text: str, option: str) -> tuple[int, ...]:
+    """Whole numbers that stand between commas.
+
+    Raises:
+        ParameterError: they are none.
+    """
+    names = names_of(text, option) or ()
+    if not all(name.isdecimal() for name in names):
+        raise ParameterError(f"{option} {text}: not whole numbers separated by commas, as in 4,16,64")
+    return tuple(int(name) for name in names)
+
+
+def count_of(text: str, option: str) -> int:
+    """A whole number.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    if not text.isdecimal():
+        raise ParameterError(f"{option} {text}: not a whole number")
+    return int(text)
+
+
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """Width and height [px] of 640x360; None of None.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+        raise ParameterError(f"--resolution {text}: not WIDTHxHEIGHT with both from 1 to 16384, as in 640x360")
+    return int(width), int(height)
 
 
 def check_exposure(*, exposure_s: float | None, iso: float | None, ev: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,8 +13,8 @@ import typer
 
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
-from synfog_usd.dataset.plan import BakePlan, frame_codes
-from synfog_usd.errors import ParameterError
+from synfog_usd.dataset.job import BakeJob, job_of
+from synfog_usd.dataset.job import run as make
 
 if TYPE_CHECKING:
     from synfog_usd.scene import Note
@@ -24,85 +23,42 @@ REMARKS = 5
 """How many remarks are printed; warnings all are."""
 
 
-def run(
-    plan: dict[str, Any],
-    *,
-    cameras: Sequence[str] | None,
-    frames: str | None,
-    adaptation_s: float,
-    quiet: bool,
-    as_json: bool,
-) -> None:
-    """Bake as the command line asked for; raises `typer.Exit` where the code is not 0."""
-    asked = BakePlan(**plan)  # numbers that make no sense are refused before a process is begun or anything is written
-    codes = None if frames is None else frame_codes(frames)
-    if codes is not None and asked.frame is not None:
-        raise ParameterError("--frame and --frames: either one time code or several; leave one out")
-    if not 0.0 <= adaptation_s < math.inf:
-        raise ParameterError(f"--adaptation {adaptation_s:g}: it takes seconds, 0 and more")
+def run(asked: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+    """Bake as the command line asked for; raises `typer.Exit` where the code is not 0.
+
+    Args:
+        asked: for `job_of`.
+    """
+    job = job_of(**asked)  # what makes no sense is refused before a process is begun or anything is written
+    plan = job.plan
     if not worker.is_worker():
         code = worker.run(sys.argv[1:])
         if code == worker.INTERRUPTED or code < 0:
-            _tidy(plan["out"], code, plan["stage"], frames=codes is not None)
+            _tidy(plan.out, code, plan.stage, frames=job.codes is not None)
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
-    if codes is not None:
-        _sequence(asked, cameras, codes, adaptation_s, quiet=quiet, as_json=as_json)
-        return
-    from synfog_usd.dataset.bake import bake
-    from synfog_usd.dataset.rig import bake_cameras
-
-    rig = None
     with shown(quiet) as (progress, log):
-        if cameras is None:
-            baked = bake(asked, progress=progress, log=log, reading=worker.reading_limits)
-        else:
-            rig, baked = bake_cameras(asked, cameras, progress=progress, log=log, reading=worker.reading_limits)
+        baked = make(job, progress=progress, log=log, reading=worker.reading_limits)
         if not quiet:
-            _report(baked.notes, plan["stage"], log)
-    if rig is not None:
-        _tell_rig(rig, asked, quiet=quiet, as_json=as_json)
-    elif as_json:
-        print(json.dumps({**baked.manifest, "seconds": baked.seconds, "kept": baked.kept}, indent=2))
-    elif not quiet:
-        print(f"{len(baked.manifest['shots'])} shots in {plan['out']}: look at {plan['out'] / 'contact.png'}")
-
-
-def _tell_rig(rig: dict[str, Any], plan: BakePlan, *, quiet: bool, as_json: bool) -> None:
+            _report(baked.notes, plan.stage, log)
+    found = baked.manifest
     if as_json:
-        print(json.dumps(rig, indent=2))
+        single = isinstance(found, dict) and "shots" in found
+        print(json.dumps({**found, "seconds": baked.seconds, "kept": baked.kept} if single else found, indent=2))
     elif not quiet:
-        sheets = ", ".join(str(plan.out / row["folder"] / "contact.png") for row in rig["cameras"])
-        print(f"{len(rig['cameras'])} cameras in {plan.out}: look at {sheets}")
+        print(_made(job, found))
 
 
-def _sequence(
-    plan: BakePlan,
-    names: Sequence[str] | None,
-    codes: Sequence[float],
-    adaptation_s: float,
-    *,
-    quiet: bool,
-    as_json: bool,
-) -> None:
-    """A sequence, or one for each of several cameras."""
-    from synfog_usd.dataset.rig import apart
-    from synfog_usd.dataset.sequence import bake_sequence
-
-    plans = [plan] if names is None else apart(plan, names, reading=worker.reading_limits)
-    found = []
-    for number, one in enumerate(plans):
-        with shown(quiet) as (progress, log):
-            told, first = bake_sequence(
-                one, codes, adaptation_s=adaptation_s, progress=progress, log=log, reading=worker.reading_limits
-            )
-            if not quiet and not number:
-                _report(first.notes, plan.stage, log)
-        found.append(told)
-        if not quiet and not as_json:
-            print(f"{len(codes)} frames in {one.out}: {', '.join(told['clips'])}")
-    if as_json:
-        print(json.dumps(found[0] if len(found) == 1 else found, indent=2))
+def _made(job: BakeJob, found: Any) -> str:
+    """What was made, in a line."""
+    out = job.plan.out
+    if job.codes is not None:
+        clips = [clip for one in (found if isinstance(found, list) else [found]) for clip in one["clips"]]
+        return f"{len(job.codes)} frames in {out}: {', '.join(clips)}"
+    if "cameras" in found:
+        sheets = ", ".join(str(out / row["folder"] / "contact.png") for row in found["cameras"])
+        return f"{len(found['cameras'])} cameras in {out}: look at {sheets}"
+    return f"{len(found['shots'])} shots in {out}: look at {out / 'contact.png'}"
 
 
 def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> None:

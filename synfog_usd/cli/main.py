@@ -158,40 +158,40 @@ def bake(
     verb.run(
         dict(
             stage=stage,
-            out=out or Path("out") / stage.stem,
+            out=out,
             pipeline=pipeline,
-            lighting=_names(lighting, "--lighting"),
-            fog=_names(fog, "--fog"),
+            lighting=lighting,
+            fog=fog,
             meter=meter,
             frame=frame,
             lights=lights,
             light_scale=light_scale,
             sun_lux=sun_lux,
-            choices=tuple(choices or ()),
-            metres_per_unit=metres_per_unit,
+            choose=choices,
+            meters_per_unit=metres_per_unit,
             up=up,
-            shutter_s=shutter,
-            exposure_s=_seconds(exposure),
+            shutter=shutter,
+            exposure=exposure,
             iso=iso,
             ev=ev,
-            max_distance_m=max_distance,
-            mask=_names(mask, "--mask") or (),
-            size=_size(resolution),
+            max_distance=max_distance,
+            mask=mask,
+            resolution=resolution,
             model=model,
             quality=quality,
             samples=samples,
             target_error=target_error,
-            bands=None if bands == "auto" else _count(bands, "--bands"),
+            bands=bands,
             cull=cull,
             seed=seed,
             same_noise=same_noise,
             variant=options.device(variant, gpu),
-            allow=tuple(allow or ()),
+            allow=allow,
             strict=strict,
+            camera=camera,
+            frames=frames,
+            adaptation=adaptation,
         ),
-        cameras=_names(camera, "--camera"),
-        frames=frames,
-        adaptation_s=adaptation,
         quiet=quiet,
         as_json=as_json,
     )
@@ -247,24 +247,24 @@ def preview(
             stage=stage,
             out=out or Path("out") / "preview" / stage.stem,
             pipeline=pipeline,
-            lighting=_names(lighting, "--lighting"),
-            fog=_names(fog, "--fog"),
+            lighting=lighting,
+            fog=fog,
             camera=camera,
             frame=frame,
-            choices=tuple(choices or ()),
-            metres_per_unit=metres_per_unit,
+            choose=choices,
+            meters_per_unit=metres_per_unit,
             up=up,
             light_scale=light_scale,
             sun_lux=sun_lux,
-            exposure_s=_seconds(exposure),
+            exposure=exposure,
             iso=iso,
             ev=ev,
-            size=_size(resolution),
+            resolution=resolution,
             samples=samples,
             bands=3,
             draft=True,
             variant=options.device(variant, gpu),
-            allow=tuple(allow or ()),
+            allow=allow,
         ),
         watch=watch,
         how=None if terminal == "auto" else terminal,  # type: ignore[arg-type]
@@ -292,8 +292,6 @@ def check(
     """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
     would stop.
     """
-    from synfog_usd import numbers
-
     numbers.check_space(metres_per_unit=metres_per_unit, up=up)
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
@@ -388,11 +386,11 @@ def chart(
         fog=fog,
         lighting=lighting,
         camera=camera,
-        size=_size(resolution),
-        samples=_counts(samples, "--samples") if samples is not None else None,
-        models=_names(models, "--models"),
-        depth=() if depth == "none" else _counts(depth, "--depth"),
-        bands=() if bands == "none" else _counts(bands, "--bands"),
+        size=numbers.size_of(resolution),
+        samples=numbers.counts_of(samples, "--samples") if samples is not None else None,
+        models=numbers.names_of(models, "--models"),
+        depth=() if depth == "none" else numbers.counts_of(depth, "--depth"),
+        bands=() if bands == "none" else numbers.counts_of(bands, "--bands"),
         denoise=denoise,
         reference_samples=reference,
         time_limit=time_limit,
@@ -474,14 +472,14 @@ def contact(
     from synfog_usd.cli.progress import shown
     from synfog_usd.dataset import sheet
 
-    size = _size(resolution)
+    size = numbers.size_of(resolution)
     assert size is not None
     plan = sheet.SheetPlan(
         recipes=sheet.recipes_of(recipe),
         seeds=sheet.seeds_of(seeds),
         out=out,
         lighting=lighting,
-        fogs=_names(fog, "--fog") or (),
+        fogs=numbers.names_of(fog, "--fog") or (),
         size=size,
         columns=max(0, columns),
         samples=samples,
@@ -619,7 +617,7 @@ def graph_show(
     """Show every node with its parameters and where each value comes from."""
     from synfog_usd.cli import graph as verb
 
-    verb.show(pipeline, source or [], size=_size(resolution), changes=change or [], mermaid=mermaid, svg=svg)
+    verb.show(pipeline, source or [], size=numbers.size_of(resolution), changes=change or [], mermaid=mermaid, svg=svg)
 
 
 @graph_app.command("run")
@@ -734,7 +732,7 @@ def asset_import(
             "width_m": round(model.width, 4),
             "height_m": round(model.height, 4),
         }
-        numbers = {
+        told = {
             "name": model.name,
             "class": model.label,
             "path": str(model.path),
@@ -742,7 +740,7 @@ def asset_import(
             "triangles": full,
             "triangles_low": low,
         }
-        print(json.dumps({**numbers, "notes": list(made.notes)}, indent=2))
+        print(json.dumps({**told, "notes": list(made.notes)}, indent=2))
         return
     for note in made.notes:
         print(note)
@@ -756,41 +754,6 @@ def _crash_line(code: int, stage: Path) -> int:
         print(worker.crash_line(code, stage, "read it"), file=sys.stderr)
         return 2
     return code
-
-
-def _names(text: str | None, option: str) -> tuple[str, ...] | None:
-    if text is None:
-        return None
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    if not names:
-        raise ParameterError(f"{option} {text!r}: no name in it; separate names by commas")
-    return names
-
-
-def _counts(text: str, option: str) -> tuple[int, ...]:
-    names = _names(text, option) or ()
-    if not all(name.isdecimal() for name in names):
-        raise ParameterError(f"{option} {text}: not whole numbers separated by commas, as in 4,16,64")
-    return tuple(int(name) for name in names)
-
-
-def _count(text: str, option: str) -> int:
-    if not text.isdecimal():
-        raise ParameterError(f"{option} {text}: not a whole number")
-    return int(text)
-
-
-def _seconds(text: str | None) -> float | None:
-    return None if text is None else numbers.seconds_of(text)
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
-        raise ParameterError(f"--resolution {text}: not WIDTHxHEIGHT with both from 1 to 16384, as in 640x360")
-    return int(width), int(height)
 
 
 OLD_WORDS = {

@@ -15,6 +15,7 @@ import typer
 from synfog_usd import resources
 from synfog_usd.cli import terminal, worker
 from synfog_usd.cli.progress import shown
+from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.errors import SynfogError
 from synfog_usd.fence import LAYERS
@@ -32,12 +33,12 @@ def run(plan: dict[str, Any], *, watch: bool, how: terminal.Kind | None, quiet: 
     """Bake small as the command line asked for, and show it; with `watch` until Ctrl-C.
 
     Args:
-        plan: for `BakePlan`.
+        plan: for `plan_of`.
         watch: bake again on every save of a file that the stage is made of.
         how: how the terminal draws; None asks it.
         quiet: print errors only.
     """
-    asked = BakePlan(**plan)
+    asked = plan_of(**plan)
     if not worker.is_worker():
         raise typer.Exit(_waited_for(asked, watch))
     worker.follow_parent()

@@ -58,13 +58,13 @@ class Baked:
     """What a bake leaves behind and how long it took.
 
     Attributes:
-        manifest: what `bake.json` holds.
+        manifest: what `bake.json` holds; of a `job` also what `rig.json` or `sequence.json` does.
         seconds: wall time of each shot that was rendered now, by folder.
         kept: folders of shots that were finished already.
         notes: what the translation left out or made simpler.
     """
 
-    manifest: dict[str, Any]
+    manifest: Any
     seconds: dict[str, float] = field(default_factory=dict)
     kept: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()

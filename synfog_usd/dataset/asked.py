@@ -1,0 +1,209 @@
+"""What is asked of a bake, in the words of the command line or as Python's values, as a plan.
+
+`--resolution 640x360` and `resolution=(640, 360)` are the same; so are `--fog clear,mor150` and `fog=["clear", 150]`.
+"""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from synfog_usd import numbers
+from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.errors import ParameterError, did_you_mean
+
+if TYPE_CHECKING:
+    from synfog_usd.fog import Fog
+
+    FogLike = str | float | Fog
+
+Reader = Callable[[Any, str], Any]
+"""Reads a value; the second argument is the option's name, for what is wrong."""
+
+
+def plan_of(stage: Any, out: Any = None, **asked: Any) -> BakePlan:
+    """A plan from options of `synfog-usd bake`, with _ for -.
+
+    Args:
+        stage: USD file.
+        out: folder that receives everything; out/<name of the stage> if left out.
+        asked: values by option, as typed or as Python has them; None is an option that is left out.
+
+    Raises:
+        ParameterError: an option that is not known, or a value that it does not take.
+    """
+    stage = path_of(stage, "stage")
+    out = Path("out") / stage.stem if out is None else path_of(out, "--out")
+    check_words(asked, OPTIONS)
+    given = {word: value for word, value in asked.items() if value is not None}
+    found = {_ATTRIBUTE.get(word, word): OPTIONS[word](value, _option(word)) for word, value in given.items()}
+    return BakePlan(stage, out, **found)
+
+
+def check_words(asked: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Refuse options that are not known.
+
+    Raises:
+        ParameterError: with those that are.
+    """
+    for word in asked:
+        if word not in known:
+            raise ParameterError(f"no option {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}")
+
+
+def path_of(value: Any, option: str) -> Path:
+    """A path from text or a path.
+
+    Raises:
+        ParameterError: it is neither, or empty.
+    """
+    if not isinstance(value, (str, os.PathLike)) or not str(value).strip():
+        raise ParameterError(f"{option} {value!r}: not the name of a file or folder")
+    return Path(value)
+
+
+def fog_names(value: Any, option: str = "--fog") -> tuple[str, ...]:
+    """Names of fogs from a name, metres, a `Fog`, or several of them."""
+    several = value if isinstance(value, (list, tuple)) else [value]
+    return tuple(name for one in several for name in _fog_name(one, option))
+
+
+def _fog_name(value: Any, option: str) -> tuple[str, ...]:
+    if isinstance(value, str):
+        return names(value, option)
+    from synfog_usd.fog import Fog  # numpy, which a line of text does without
+
+    if isinstance(value, Fog):
+        return (value.name,)
+    try:
+        metres = number(value, option)
+    except ParameterError:
+        takes = "clear, a visibility [m], mor150, a Fog, or a variant of the stage"
+        raise ParameterError(f"{option} {value!r}: it takes {takes}") from None
+    if not metres > 0.0:
+        raise ParameterError(f"{option} {metres:g}: a visibility is above 0 m")
+    return (Fog(metres).name,)
+
+
+def names(value: Any, option: str) -> tuple[str, ...]:
+    """Names from text with commas, or a list of text."""
+    if isinstance(value, str):
+        return numbers.names_of(value, option) or ()
+    if not isinstance(value, (list, tuple)) or not value or not all(isinstance(one, str) for one in value):
+        raise ParameterError(f"{option} {value!r}: it takes a name, or a list of names")
+    return tuple(value)
+
+
+def number(value: Any, option: str) -> float:
+    """A number, not text."""
+    if isinstance(value, (str, bytes, bool)) or not hasattr(value, "__float__"):
+        raise ParameterError(f"{option} {value!r}: not a number")
+    return float(value)
+
+
+def count(value: Any, option: str) -> int:
+    """A whole number, not text."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        return operator.index(value)
+    except TypeError:
+        raise ParameterError(f"{option} {value!r}: not a whole number") from None
+
+
+def word(value: Any, option: str) -> str:
+    """Text."""
+    if not isinstance(value, str):
+        raise ParameterError(f"{option} {value!r}: it takes a word")
+    return value
+
+
+def _switch(value: Any, option: str) -> bool:
+    if not isinstance(value, bool):
+        raise ParameterError(f"{option} {value!r}: it takes True or False")
+    return value
+
+
+def _seconds(value: Any, option: str) -> float:
+    return numbers.seconds_of(value, option) if isinstance(value, str) else number(value, option)
+
+
+def _size(value: Any, option: str) -> tuple[int, int] | None:
+    if isinstance(value, (list, tuple)) and len(value) == 2:
+        value = "x".join(str(count(side, option)) for side in value)
+    return numbers.size_of(value if isinstance(value, str) else repr(value))
+
+
+def _bands(value: Any, option: str) -> int | None:
+    if value == "auto":
+        return None
+    return numbers.count_of(value, option) if isinstance(value, str) else count(value, option)
+
+
+def _folders(value: Any, option: str) -> tuple[Path, ...]:
+    several = value if isinstance(value, (list, tuple)) else [value]
+    return tuple(path_of(one, option) for one in several)
+
+
+def _quality(value: Any, option: str) -> Any:
+    return value  # the plan itself looks at it
+
+
+def _choices(value: Any, option: str) -> tuple[str, ...]:
+    return names([value] if isinstance(value, str) else value, option) if value else ()
+
+
+OPTIONS: dict[str, Reader] = {
+    "pipeline": path_of,
+    "lighting": names,
+    "fog": fog_names,
+    "camera": word,
+    "meter": word,
+    "frame": number,
+    "lights": word,
+    "light_scale": number,
+    "sun_lux": number,
+    "choose": _choices,
+    "meters_per_unit": number,
+    "up": word,
+    "shutter": number,
+    "exposure": _seconds,
+    "iso": number,
+    "ev": number,
+    "max_distance": number,
+    "mask": names,
+    "resolution": _size,
+    "model": word,
+    "quality": _quality,
+    "samples": count,
+    "target_error": number,
+    "bands": _bands,
+    "cull": _switch,
+    "seed": count,
+    "same_noise": _switch,
+    "variant": word,
+    "allow": _folders,
+    "strict": _switch,
+    "draft": _switch,
+}
+"""Option -> what reads it."""
+
+_ATTRIBUTE = {
+    "choose": "choices",
+    "exposure": "exposure_s",
+    "max_distance": "max_distance_m",
+    "meters_per_unit": "metres_per_unit",
+    "resolution": "size",
+    "shutter": "shutter_s",
+}
+"""Option -> attribute of `BakePlan`, where they differ."""
+
+assert {_ATTRIBUTE.get(option, option) for option in OPTIONS} <= {field.name for field in fields(BakePlan)}
+
+
+def _option(word: str) -> str:
+    return f"--{word.replace('_', '-')}"
