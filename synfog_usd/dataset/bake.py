@@ -98,7 +98,6 @@ def bake(
     Raises:
         SynfogError: with place and fix; what was finished stays.
     """
-    from synfog_usd import camera
     from synfog_usd import stage as usd
     from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend
@@ -130,7 +129,7 @@ def bake(
             f"prim with SynFogMediumAPI says where it is (see docs/artists.md)."
         )
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metered = bool(camera.exposure_left_open(graph) or plan.meter_for) or (plan.exposure_s, plan.iso) != (None, None)
+    metered = is_metered(graph, plan)
     metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
 
     with system.only_writer(plan.out):
@@ -196,13 +195,13 @@ def bake(
                 step("translating", 0.0)
                 with reading():
                     scene = scenes.of(shot)
-                    clear = _clear_scenes(shot, session, eye) if metered and shot.lighting not in views else None
+                    clear = clear_scenes(shot, session, eye) if metered and shot.lighting not in views else None
                 if shot.lighting not in lit:
                     lit.add(shot.lighting)
                     log(f"{shot.lighting}: {scenes.light[shot.lighting]}")
                 if clear is not None:
                     step("metering", METERED)
-                    view = views[shot.lighting] = _meter(
+                    view = views[shot.lighting] = meter_view(
                         shot.lighting,
                         clear,
                         session,
@@ -221,7 +220,7 @@ def bake(
                 view = views.get(shot.lighting)
                 if alone:
                     behind.wait()
-                picture = _render(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
+                picture = sample_shot(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
                 if alone:
                     renderer.free()
                     picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
@@ -270,7 +269,14 @@ class _View:
         return _noise(self.pixel) if self.pixel else None
 
 
-def _clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str | None, SceneDict]:
+def is_metered(graph: Any, plan: BakePlan) -> bool:
+    """Whether a lighting is looked at in clear air, to find out how it is exposed."""
+    from synfog_usd import camera
+
+    return bool(camera.exposure_left_open(graph) or plan.meter_for) or (plan.exposure_s, plan.iso) != (None, None)
+
+
+def clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str | None, SceneDict]:
     """What is metered for a shot, without fog, by camera: what its own sees, and the others that are exposed alike."""
     plan = session.plan
     others = [one for one in plan.rig if one != camera] if plan.meter == TOGETHER else []
@@ -294,7 +300,7 @@ def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
     }
 
 
-def _meter(
+def meter_view(
     lighting: str,
     clear: Mapping[str | None, SceneDict],
     session: Session,
@@ -362,7 +368,7 @@ def _bands(
 
 
 @dataclass(frozen=True)
-class _Shot:
+class ShotMade:
     """A shot that is rendered.
 
     Attributes:
@@ -385,11 +391,11 @@ class _Shot:
     exposures: Mapping[str, Image]
 
 
-_Picture = Callable[[Progress], _Shot]
+_Picture = Callable[[Progress], ShotMade]
 """Makes the picture of a shot that was sampled."""
 
 
-def _same(made: _Shot, progress: Progress) -> _Shot:
+def _same(made: ShotMade, progress: Progress) -> ShotMade:
     """A picture that is made."""
     return made
 
@@ -421,7 +427,7 @@ class _Behind:
             task.result()
 
 
-def _render(
+def sample_shot(
     shot: Shot,
     scene: SceneDict,
     renderer: Renderer,
@@ -483,14 +489,14 @@ def _render(
             progress=within(progress, number * share, (number + 1) * share),
         )
 
-    def picture(progress: Progress) -> _Shot:
+    def picture(progress: Progress) -> ShotMade:
         whole = rendered.picture(within(progress, 0.0, share))
         seen = {
             name: part.picture(within(progress, number * share, (number + 1) * share)).radiance
             for number, (name, part) in enumerate(parts.items(), 1)
         }
         seen = seen or dict.fromkeys(exposures, whole.radiance)
-        return _Shot(shot, scene, view, taken, whole, floor, bands, hidden, seen)
+        return ShotMade(shot, scene, view, taken, whole, floor, bands, hidden, seen)
 
     return picture
 
@@ -523,10 +529,33 @@ def _settings(
     )
 
 
-def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
+def taken_with(made: ShotMade, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
+    """What a camera notes of a shot beside its light: what its graph reads from the image's provenance."""
+    from synfog_usd.render.load import is_thin_lens
+
+    more: dict[str, Any] = {}
+    if made.taken is not None:
+        more["view"] = [*made.taken[:3], *made.taken.shift]
+    if is_thin_lens(made.scene.camera):
+        more["sharp_at_m"] = made.scene.camera.focus_m
+    if specimen is not None:
+        more["specimen"] = specimen
+    if plan.ev:
+        more["exposure_bias_ev"] = plan.ev
+    if plan.clip is not None:
+        more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
+    return more
+
+
+def inputs_of(graph: Any, rendered: Rendered, radiance: Image, exposures: Mapping[str, Image]) -> dict[str, Image]:
+    """What a graph is given of a shot: its light, and that of parts of the exposure and of groups of lamps."""
+    whole = {} if exposures and "radiance" not in graph.inputs else {"radiance": radiance}
+    return {**whole, **exposures, **_groups_for(graph, rendered)}
+
+
+def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
     from synfog_usd import camera, writers
-    from synfog_usd.render.load import is_thin_lens
 
     shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
     folder = plan.out / shot.folder
@@ -538,17 +567,7 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         "synfog:model": rendered.model,
     }
     variance = rendered.radiance.variance
-    more: dict[str, Any] = {}
-    if taken is not None:
-        more["view"] = [*taken[:3], *taken.shift]
-    if is_thin_lens(scene.camera):
-        more["sharp_at_m"] = scene.camera.focus_m
-    if specimen is not None:
-        more["specimen"] = specimen
-    if plan.ev:
-        more["exposure_bias_ev"] = plan.ev
-    if plan.clip is not None:
-        more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
+    more = taken_with(made, plan, specimen)
     radiance = rendered.radiance.with_metadata(**more)
     exposures = {name: part.with_metadata(**more) for name, part in made.exposures.items()}
     assert variance is not None
@@ -573,10 +592,9 @@ def _finish(made: _Shot, graph: Any, plan: BakePlan, specimen: str | None) -> di
         writers.write_exr(folder / names[-1], part, attributes=marks)
     exposure = view.exposure if view else None
     seed = noise_seed(plan.seed, shot.lighting, shot.fog, same_noise=plan.same_noise)
-    whole = {} if exposures and "radiance" not in graph.inputs else {"radiance": radiance}
     results = camera.develop(
         graph,
-        {**whole, **exposures, **_groups_for(graph, rendered)},
+        inputs_of(graph, rendered, radiance, exposures),
         seed=seed,
         exposure=exposure,
         keep=list(graph.outputs.values()),
@@ -632,7 +650,7 @@ def _metered_on(plan: BakePlan) -> dict[str, str]:
     return {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide{together}"}
 
 
-def _left(made: _Shot, graph: Any) -> dict[int, dict[str, Any]]:
+def _left(made: ShotMade, graph: Any) -> dict[int, dict[str, Any]]:
     """What the fog leaves of each instance that is seen, by label id."""
     from synfog_usd import camera, photometry
 
