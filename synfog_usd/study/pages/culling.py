@@ -1,6 +1,6 @@
 """What it saves, and what it costs in error, that fog hides instances: the same shot with all of them and without.
 
-From a shell: `python -m synfog_usd.study.pages.culling docs/speed-accuracy.md` measures CASES and
+From a shell: `python -m synfog_usd.study.pages.culling docs/measurements/culling.md` measures CASES and
 replaces what stands between the page's two marks.  Both pictures of a pair are made with
 the same random numbers, so that most of their noise cancels, and twice, with seeds of their
 own, which tells what noise is left.  Errors are in standard deviations of the sensor's noise.
@@ -232,5 +232,5 @@ def write_culling_table(document: Path, rows: Iterable[Saving]) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python -m synfog_usd.study.pages.culling docs/speed-accuracy.md")
+        sys.exit("usage: python -m synfog_usd.study.pages.culling docs/measurements/culling.md")
     write_culling_table(Path(sys.argv[1]), measured())
