@@ -321,7 +321,10 @@ def chart(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", help="Folder for chart.csv, chart.svg, chart.png and chart.html.", show_default=False
+            "--out",
+            "-o",
+            help="Folder for chart.csv, .svg, .png and .html, and notes.txt.",
+            show_default=False,
         ),
     ] = None,
     suite: Annotated[
@@ -347,7 +350,9 @@ def chart(
     bands: Annotated[
         str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")
     ] = "none",
-    denoise: Annotated[bool, typer.Option(help="Show unbiased models denoised too.")] = True,
+    quality: Annotated[
+        str, typer.Option(help="Words of bake's --quality to show beside the models, comma-separated, or none.")
+    ] = ",".join(numbers.QUALITIES),
     reference: Annotated[
         int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")
     ] = None,
@@ -369,8 +374,8 @@ def chart(
     allow: options.Allow = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Chart what accuracy costs: seconds against error of every model on one shot of STAGE, or on every stage of a
-    folder.
+    """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE, or
+    on every stage of a folder.
     """
     if suite == (stage is not None):
         raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
@@ -391,7 +396,7 @@ def chart(
         models=numbers.names_of(models, "--models"),
         depth=() if depth == "none" else numbers.counts_of(depth, "--depth"),
         bands=() if bands == "none" else numbers.counts_of(bands, "--bands"),
-        denoise=denoise,
+        quality=() if quality == "none" else numbers.names_of(quality, "--quality"),
         reference_samples=reference,
         time_limit=time_limit,
         target=target,

@@ -2,11 +2,12 @@
 
 Takes pictures from independent seeds and a reference made of independent parts;
 gives relative errors with the reference's own variance taken off.  Knows nothing
-of models, stages or files.
+of models, stages or files, and takes mottle as the renderer tells it.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 
 from synfog_usd.arrays import Array
 from synfog_usd.colour import LUMINANCE
+from synfog_usd.render import dualbuffer
 
 FLOOR = 0.01
 """Luminance that counts as dark, over the mean: a pixel's error is relative to hypot(its luminance, FLOOR x mean)."""
@@ -71,6 +73,7 @@ class Errors:
         p95: 95th percentile over the pixels of the absolute difference; the reference's noise is in it.
         bias: difference of the means over the mean of the reference.
         bias_error: standard error of `bias`, with the reference's noise in it.
+        mottle: what of the noise the eye takes for clouds, see `mottle`.
     """
 
     mse: float
@@ -80,6 +83,7 @@ class Errors:
     p95: float
     bias: float
     bias_error: float
+    mottle: float
 
     @property
     def rms(self) -> float:
@@ -163,7 +167,20 @@ def compare(pictures: Sequence[Array], reference: Reference) -> Errors:
         p95=float(np.percentile(np.abs(stack - reference.luminance) / reference.scale, 95)),
         bias=float((mean - reference.luminance).mean() / level),
         bias_error=float(math.sqrt(variance_of_mean) / level),
+        mottle=mottle(pictures),
     )
+
+
+def mottle(pictures: Sequence[Array]) -> float:
+    """Clouds in one render, told from K >= 2 with seeds of their own: RMS over the pairs, relative.
+
+    Args:
+        pictures: luminance (H, W) each.
+
+    `dualbuffer.mottle` is that of the mean of two; that of one is sqrt 2 times as large.
+    """
+    pairs = [dualbuffer.mottle(np.stack(pair)) for pair in itertools.combinations(pictures, 2)]
+    return math.sqrt(2.0 * float(np.mean(np.square(pairs))))
 
 
 def flip(reference: Array, test: Array, *, exposure_of: Array | None = None) -> float:

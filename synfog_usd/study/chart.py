@@ -1,13 +1,15 @@
 """Speed against accuracy: what a model's error costs in seconds, on one shot or on a folder of stages.
 
-Every model is run at several numbers of samples, three times with seeds of its own,
-and compared with a reference of many more, from other random streams.  Leaves
-`chart.csv`, `chart.svg`, `chart.png` and `chart.html`.  Time is what this study
+Every model is run at several numbers of samples, and the model of a bake at each word of
+quality, three times with seeds of their own, and compared with a reference of many more
+samples, from other random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png`,
+`chart.html` and `notes.txt`, which says what does not hold.  Time is what this study
 measures, so its files differ from run to run; the pictures behind them do not.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import platform
@@ -23,18 +25,19 @@ from synfog_usd import files
 from synfog_usd.arrays import Array
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.errors import ParameterError
+from synfog_usd.numbers import QUALITIES, check_quality
 from synfog_usd.progress import Progress, silent
 from synfog_usd.seeds import seed32
 from synfog_usd.study import accuracy
 from synfog_usd.study.accuracy import Reference
-from synfog_usd.study.points import PLAIN, Point, Setting, front, line_name, lines, summary, table
+from synfog_usd.study.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, lines, summary, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
+    from synfog_usd.render.shot import Settings
     from synfog_usd.scene import SceneDict
 
-NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html")
-SUITE_NAMES = ("summary.csv", "suite.svg", "suite.png", "index.html")
+NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html", "notes.txt")
 SAMPLES, PEER_SAMPLES = (8, 32, 128, 512), (8, 32, 128)
 RUNS = 3
 """Renders a point; the first of a line may have to wait for a kernel and is timed apart, all of them count for the
@@ -48,6 +51,8 @@ model.
 """
 REFERENCE_SHARE = 0.45
 """Of a time limit, what is kept for the reference."""
+METER_SAMPLES = 32
+"""Of the clear frame by which the sensor is exposed."""
 LIMIT_S = 90.0
 """Time limit where neither it nor the samples are given."""
 PROBE_SAMPLES = 16
@@ -68,7 +73,7 @@ class ChartPlan:
         models: names of `render.models.MODELS`; None is all that hold for the shot.
         depth: numbers of scatterings at which `path` is cut, each a line of its own.
         bands: numbers of wavelength bands for `path`, each a line of its own.
-        denoise: whether the unbiased models are also shown denoised.
+        quality: words of `numbers.QUALITIES` to show, of the model that a bake takes.
         reference_samples: of the reference; None is REFERENCE_FACTOR times the most of its model's, as far as
             time_limit goes.
         time_limit: seconds of rendering for a stage, beyond the first point of each line and without the making of
@@ -89,7 +94,7 @@ class ChartPlan:
     models: tuple[str, ...] | None = None
     depth: tuple[int, ...] = ()
     bands: tuple[int, ...] = ()
-    denoise: bool = True
+    quality: tuple[str, ...] = tuple(QUALITIES)
     reference_samples: int | None = None
     time_limit: float | None = None
     target: float = 0.03
@@ -119,8 +124,8 @@ class Chart:
 
 @dataclass
 class _Line:
-    """One model in one setting, as far as it has been rendered; `runs` by samples, `seconds` and `first_call_s` beside
-    it.
+    """One model in one setting, as far as it has been rendered: `runs`, `seconds` and `spent`, paths of a pixel, by
+    level, which are the most samples; `words` those that levels stand for.
     """
 
     model: str
@@ -128,6 +133,8 @@ class _Line:
     levels: list[int]
     runs: dict[int, list[Array]] = field(default_factory=dict)
     seconds: dict[int, list[float]] = field(default_factory=dict)
+    spent: dict[int, float] = field(default_factory=dict)
+    words: Mapping[int, str] = field(default_factory=dict)
     first_call_s: float = math.nan
 
     @property
@@ -172,7 +179,8 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
         if name not in wanted
     ]
     asked = list(dict.fromkeys(models.choose(name, scene)[0] for name in wanted))
-    sweep = _lines(plan, asked, renders, notes)
+    auto = models.choose(models.AUTO, scene)[0]
+    sweep = _lines(plan, asked, auto, notes)
     limit = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
     spent, began = 0.0, time.perf_counter()
     paths, done = RUNS * sum(sum(line.levels) for line in sweep), 0
@@ -190,10 +198,12 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
         stream: str | int,
         what: str,
         within: Callable[[float], float] = fraction,
-    ) -> tuple[Array, float]:
+        word: str = "",
+    ) -> tuple[Array, float, float]:
         nonlocal done
         seed = seed32(plan.seed, "chart", line_name(model, setting), samples, stream)
-        result = renders.render(model, setting, samples, seed, lambda _, part: progress(what, within(part * samples)))
+        settings = renders.settings(model, setting, samples, seed, word)
+        result = renders.render(settings, lambda _, part: progress(what, within(part * samples)))
         done += samples
         return result
 
@@ -201,13 +211,21 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
         line = min(waiting, key=_Line.estimate)
         samples = line.levels[0]
         if line.runs and spent + line.estimate() > (1.0 - REFERENCE_SHARE) * limit:
-            notes.append(f"{line.name}: {', '.join(map(str, line.levels))} samples left out for time")
+            left = ", ".join(line.words.get(level, f"{level} samples") for level in line.levels)
+            notes.append(f"{line.name}: {left} left out for time")
             line.levels = []
             continue
         line.levels.pop(0)
         try:
             results = [
-                picture(line.model, line.setting, samples, run, f"{line.name}, {samples} samples")
+                picture(
+                    line.model,
+                    line.setting,
+                    samples,
+                    run,
+                    f"{line.name}, {line.words.get(samples, f'{samples} samples')}",
+                    word=line.words.get(samples, ""),
+                )
                 for run in range(RUNS)
             ]
         except (
@@ -224,9 +242,10 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
             line.levels = []
             continue
         line.runs[samples] = [
-            np.maximum(rgb, 0.0) for rgb, _ in results
+            np.maximum(rgb, 0.0) for rgb, *_ in results
         ]  # as `render` gives them; the reference keeps its noise
-        line.seconds[samples] = [elapsed for _, elapsed in results[1:]]
+        line.seconds[samples] = [elapsed for _, elapsed, _ in results[1:]]
+        line.spent[samples] = results[0][2]
         if math.isnan(line.first_call_s):
             line.first_call_s = results[0][1]
         spent += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
@@ -264,7 +283,7 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
     ]
     reference = accuracy.combine(parts, shares, model)
 
-    points = _points(sweep, reference, plan.size, chosen.variant, models.choose(models.AUTO, scene)[0], plan.target)
+    points = _points(sweep, reference, plan.size, chosen.variant, auto, plan.target)
     pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in sweep}
     made = Chart(f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}", points, reference, pictures, notes)
     _write(made, plan.out)
@@ -306,8 +325,9 @@ def write_suite(points: Mapping[str, Sequence[Point]], out: Path, drawing: Any =
         from synfog_usd.study import drawing, page
     rows = [row for name, line in points.items() for row in summary(name, line)]
     files.write_bytes(out / "summary.csv", table(rows).encode())
-    for name, data in zip(("suite.svg", "suite.png"), drawing.draw_suite(points), strict=True):
-        files.write_bytes(out / name, data)
+    for measure, name in ((ERROR, "suite"), (MOTTLE, "mottle")):
+        for kind, data in zip(("svg", "png"), drawing.draw_suite(points, measure), strict=True):
+            files.write_bytes(out / f"{name}.{kind}", data)
     files.write_bytes(out / "index.html", page.index(points, rows).encode())
 
 
@@ -336,6 +356,8 @@ def check(plan: ChartPlan) -> None:
             raise ParameterError(f"--depth {value}: outside 1 to 1000")
     for value in plan.bands:
         check_bands(value)
+    for word in plan.quality:
+        check_quality(word)
     if not 0.0 < plan.target <= 1.0:
         raise ParameterError(f"--target {plan.target:g}: outside 0 to 1; 0.03 is 3 %")
     if plan.time_limit is not None and not 1.0 <= plan.time_limit <= 1e6:
@@ -360,33 +382,55 @@ class _Renders:
     def __init__(self, scene: SceneDict, size: tuple[int, int]) -> None:
         self.scene, self.size, self.loadings = scene, size, {}  # type: ignore[var-annotated]
 
-    def lacks(self, setting: Setting) -> str:
-        """Why a setting cannot be rendered here, or ''."""
-        from synfog_usd.render import denoise
+    def settings(self, model: str, setting: Setting, samples: int, seed: int, word: str) -> Settings:
+        """How a point is rendered; at a word of quality as a bake does, with the phone's sensor."""
+        from synfog_usd.render.sampling.adaptive import sensor_target
+        from synfog_usd.render.shot import Settings
 
-        return denoise.available() if setting.denoise else ""
-
-    def render(self, model: str, setting: Setting, samples: int, seed: int, progress: Progress) -> tuple[Array, float]:
-        """(H, W, 3) radiance as an eye's R, G and B, and seconds on the loaded scene, with what the model prepares for
-        itself.
-        """
-        from synfog_usd.render import models, shot
-        from synfog_usd.render.spectra import bands
-
-        loaded = self._loaded(models.MODELS[model].boundaries)
-        began = time.perf_counter()
-        rendered = shot.render(
-            self.scene,
+        plain = Settings(
             model=model,
             samples=samples,
             seed=seed,
             size=self.size,
-            progress=progress,
-            loaded=loaded,
-            **_arguments(setting),
+            bands=setting.bands,
+            scatterings=setting.scatterings,
         )
-        elapsed = time.perf_counter() - began
-        return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), max(elapsed, 1e-3)
+        if not word:
+            return plain
+        quality = QUALITIES[word]
+        return replace(
+            plain,
+            target_error=quality.error,
+            target_mottle=quality.mottle,
+            sensor_sigma=sensor_target(self._noise) if quality.sensor else None,
+            denoise=quality.clean,
+            regularize=quality.clean,
+        )
+
+    def render(self, settings: Settings, progress: Progress) -> tuple[Array, float, float]:
+        """(H, W, 3) radiance as an eye's R, G and B; seconds on the loaded scene, with what the model prepares for
+        itself; and the paths of a pixel that were spent.
+        """
+        from synfog_usd.render import models, shot
+        from synfog_usd.render.spectra import bands
+
+        loaded = self._loaded(models.MODELS[settings.model].boundaries)
+        began = time.perf_counter()
+        rendered = shot.render(self.scene, settings, progress=progress, loaded=loaded)
+        elapsed = max(time.perf_counter() - began, 1e-3)
+        return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), elapsed, rendered.samples
+
+    @functools.cached_property
+    def _noise(self) -> Callable[[Array], Array]:
+        """Luminance -> standard deviation of what a pixel of the phone reads [cd m-2], exposed for clear air."""
+        from synfog_usd import camera, resources
+        from synfog_usd.render import shot
+
+        graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+        clear = shot.render(replace(self.scene, fog=()), samples=METER_SAMPLES, seed=1, size=self.size).radiance
+        pixel = camera.sensitivity(clear, graph, camera.meter(clear, graph))
+        assert pixel is not None
+        return functools.partial(camera.noise_floor, electrons_per_cd_m2=pixel[0], dark_noise_e=pixel[1])
 
     def _loaded(self, boundaries: bool) -> MitsubaScene:
         from synfog_usd.render import shot
@@ -398,31 +442,25 @@ class _Renders:
         return self.loadings[boundaries]
 
 
-def _arguments(setting: Setting) -> dict[str, Any]:
-    """What `render` is told beside model, samples and seed."""
-    return {
-        name: getattr(setting, name)
-        for name in ("scatterings", "bands", "denoise")
-        if getattr(setting, name) != getattr(PLAIN, name)
-    }
-
-
-def _lines(plan: ChartPlan, asked: Sequence[str], renders: _Renders, notes: list[str]) -> list[_Line]:
-    """The sweep: each model as it is, then in its settings."""
-    from synfog_usd.render import models
+def _lines(plan: ChartPlan, asked: Sequence[str], auto: str, notes: list[str]) -> list[_Line]:
+    """The sweep: each model as it is, then in its settings; `auto` is the model that a bake takes."""
+    from synfog_usd.render import denoise, models
 
     found, references = [], models.ours_unbiased()
     for model in asked:
         settings = [PLAIN]
         settings += [Setting(scatterings=depth) for depth in plan.depth if model in references[:1]]
         settings += [Setting(bands=bands) for bands in plan.bands if model in references]
-        settings += [Setting(denoise=True)] if plan.denoise and model in references else []
         for setting in settings:
-            if lacking := renders.lacks(setting):
-                notes.append(f"{line_name(model, setting)}: left out, {lacking}")
-                continue
             levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES))})
             found.append(_Line(model, setting, levels))
+        if plan.quality and model == auto:
+            words = {QUALITIES[word].samples: word for word in plan.quality}
+            line = _Line(model, Setting(quality=True), sorted(words), words=words)
+            if lacking := denoise.available():
+                notes.append(f"{line.name}: left out, {lacking}")
+            else:
+                found.append(line)
     return found
 
 
@@ -448,9 +486,9 @@ def _points(
                     model=line.model,
                     scatterings=line.setting.scatterings,
                     bands=line.setting.bands,
-                    denoise=line.setting.denoise,
+                    quality=line.words.get(samples, ""),
                     unbiased=MODELS[line.model].unbiased and line.setting == PLAIN,
-                    samples=samples,
+                    samples=round(line.spent[samples]),
                     seconds=min(line.seconds[samples]),
                     first_call_s=line.first_call_s,
                     relative_mse=errors.mse,
@@ -460,6 +498,7 @@ def _points(
                     bias_limit=errors.bias_limit,
                     bias_is_seen=errors.bias_mse > 3.0 * errors.bias_mse_error,
                     p95=errors.p95,
+                    mottle=errors.mottle,
                     flip=float(np.mean([accuracy.flip(reference.rgb, rgb) for rgb in runs])),
                     bias=errors.bias,
                     bias_error=errors.bias_error,
@@ -486,7 +525,8 @@ def _write(made: Chart, out: Path) -> None:
 
     svg, png = drawing.draw_chart(made.points, title=made.title)
     text = page.page(made.title, svg.decode(), lines(made.points), made.reference, made.pictures, made.notes)
-    for name, data in zip(NAMES, (table(made.points).encode(), svg, png, text.encode()), strict=True):
+    notes = "".join(f"{note}\n" for note in made.notes)
+    for name, data in zip(NAMES, (table(made.points).encode(), svg, png, text.encode(), notes.encode()), strict=True):
         files.write_bytes(out / name, data)
 
 

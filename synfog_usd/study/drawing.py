@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from synfog_usd.study.points import Point, front, lines
+from synfog_usd.study.points import ERROR, MOTTLE, Point, front, lines
 
 INK, FAINT, GRID, PAPER = "#22262a", "#666b70", "#dcdfe2", "#ffffff"
 LOOKS = {
@@ -38,6 +38,11 @@ DIRECTIONS = tuple(
 )
 """Where a label may stand beside its mark, to the right of it first."""
 DASHES = ("-", "--", ":", "-.")
+AXES = {
+    ERROR: "total relative error of a pixel's luminance, RMS",
+    MOTTLE: "mottle: noise, blurred by 1/40 of the width",
+}
+SECONDS = "seconds for one render, scene loaded, kernel made before"
 STYLE = {"font.family": "DejaVu Sans", "font.size": 10, "svg.fonttype": "none", "svg.hashsalt": "synfog-usd"}
 COLOUR_KEYS = ("axes.edgecolor", "text.color", "axes.labelcolor", "xtick.color", "ytick.color")
 
@@ -48,48 +53,23 @@ def look(model: str) -> tuple[str, str]:
 
 
 def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
-    """Seconds against total error, and beside it noise and bias of each line at its most samples: (SVG, PNG)."""
+    """Seconds against total error, beside it noise and bias of each line at its most samples, and below it seconds
+    against mottle: (SVG, PNG).
+    """
     pyplot = _pyplot()
-    by_line = {name: [point for point in line if point.relative_rms > 0.0] for name, line in lines(points).items()}
-    by_line = {name: line for name, line in by_line.items() if line}
-    shown = [point for line in by_line.values() for point in line] or list(points)
+    by_line = _drawable(points, ERROR)
     first = points[0]
     with pyplot.rc_context({**STYLE, **dict.fromkeys(COLOUR_KEYS, INK)}):
         width = 7.0 + max(2.7, 0.36 * len(by_line) + 0.5)
-        figure, (axes, aside) = pyplot.subplots(
-            1,
-            2,
-            figsize=(width, 5.6),
-            layout="constrained",
-            sharey=True,
-            gridspec_kw={"width_ratios": (7.0, width - 7.0), "wspace": 0.03},
-        )
-        _scales(axes, shown, first)
-        steps = _front(axes, points, first)
-        for name, line in by_line.items():
-            colour, marker = look(line[0].model)
-            dash = _dash(name, by_line)
-            axes.plot([p.seconds for p in line], [p.relative_rms for p in line], dash, color=colour, lw=1.7, zorder=3)
-            for point in line:
-                _marker(axes, point, colour, marker, hollow=dash != "-")
-        chosen = [point for point in points if point.enough]
-        if chosen:
-            axes.plot(
-                [p.seconds for p in chosen],
-                [p.relative_rms for p in chosen],
-                "o",
-                ms=17,
-                mfc="none",
-                mec=INK,
-                mew=1.6,
-                zorder=6,
-                label="enough for the error asked for",
-            )
-        axes.set(
-            xlabel="seconds for one render, scene loaded, kernel made before",
-            ylabel="total relative error of a pixel's luminance, RMS",
-        )
+        figure = pyplot.figure(figsize=(width, 9.6), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(7.0, width - 7.0), height_ratios=(5.6, 4.0), wspace=0.03)
+        axes = figure.add_subplot(grid[0, 0])
+        aside = figure.add_subplot(grid[0, 1], sharey=axes)
+        clouds = figure.add_subplot(grid[1, 0], sharex=axes)
+        steps = {measure: _panel(each, points, measure) for each, measure in ((axes, ERROR), (clouds, MOTTLE))}
+        clouds.set_xlabel(SECONDS)
         axes.set_title(title, loc="left", fontsize=11.5, fontweight="bold", pad=22)
+        aside.tick_params(labelleft=False)
         _aside(aside, by_line, first)
         below = (
             f"numbers at the marks: paths per pixel; reference: {first.reference_model}, {first.reference_samples}; "
@@ -107,11 +87,46 @@ def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False, fontsize=8.5)
         figure.canvas.draw()
         figure.set_layout_engine("none")
-        _label(axes, by_line, steps)
+        _label(axes, points, steps[ERROR], ERROR)
+        _label(clouds, points, steps[MOTTLE], MOTTLE)
         return _both(pyplot, figure)
 
 
-def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
+def _drawable(points: Sequence[Point], measure: str) -> dict[str, list[Point]]:
+    """Points by line that have a place on an axis of logarithms."""
+    by_line = {name: [point for point in line if point.amount(measure) > 0.0] for name, line in lines(points).items()}
+    return {name: line for name, line in by_line.items() if line}
+
+
+def _panel(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
+    """Draw seconds against a measure; gives the corners of the front."""
+    by_line, names = _drawable(points, measure), list(lines(points))
+    _scales(axes, [point for line in by_line.values() for point in line] or points, points[0], measure)
+    steps = _front(axes, points, measure)
+    for name, line in by_line.items():
+        colour, marker = look(line[0].model)
+        dash = _dash(name, names)
+        axes.plot([p.seconds for p in line], [p.amount(measure) for p in line], dash, color=colour, lw=1.7, zorder=3)
+        for point in line:
+            _marker(axes, point, measure, colour, marker, hollow=dash != "-")
+    chosen = [point for point in points if point.enough and measure == ERROR]
+    if chosen:
+        axes.plot(
+            [p.seconds for p in chosen],
+            [p.relative_rms for p in chosen],
+            "o",
+            ms=17,
+            mfc="none",
+            mec=INK,
+            mew=1.6,
+            zorder=6,
+            label="enough for the error asked for",
+        )
+    axes.set_ylabel(AXES[measure])
+    return steps
+
+
+def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> tuple[bytes, bytes]:
     """One small chart a stage on common axes, colours named once: (SVG, PNG)."""
     from matplotlib.lines import Line2D
 
@@ -137,21 +152,22 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
             name, points = list(stages.items())[index]
             _scales(
                 axes,
-                [p for p in everything if p.relative_rms > 0.0] or everything,
+                [p for p in everything if p.amount(measure) > 0.0] or everything,
                 points[0],
+                measure,
                 lowest=min(p.reference_rms for p in everything),
                 dense=False,
             )
-            _front(axes, points, points[0])
+            _front(axes, points, measure)
             by_line = lines(points)
             for line_name, line in by_line.items():
                 colour, marker = look(line[0].model)
-                seen = [p for p in line if p.relative_rms > 0.0]
+                seen = [p for p in line if p.amount(measure) > 0.0]
                 dash = _dash(line_name, by_line)
                 fill = colour if dash == "-" else PAPER
                 axes.plot(
                     [p.seconds for p in seen],
-                    [p.relative_rms for p in seen],
+                    [p.amount(measure) for p in seen],
                     dash + marker,
                     color=colour,
                     lw=1.3,
@@ -159,7 +175,7 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
                     mfc=fill,
                     zorder=3,
                 )
-            chosen = [p for p in points if p.enough]
+            chosen = [p for p in points if p.enough and measure == ERROR]
             axes.plot(
                 [p.seconds for p in chosen],
                 [p.relative_rms for p in chosen],
@@ -172,8 +188,8 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
             )
             axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
             axes.tick_params(labelbottom=index + columns >= len(stages))
-        figure.supxlabel("seconds for one render, scene loaded, kernel made before", fontsize=9.5)
-        figure.supylabel("total relative error of a pixel's luminance, RMS", fontsize=9.5)
+        figure.supxlabel(SECONDS, fontsize=9.5)
+        figure.supylabel(AXES[measure], fontsize=9.5)
         handles = []
         for name in names:
             model = next(p for p in everything if p.line == name).model
@@ -193,8 +209,9 @@ def draw_suite(stages: Mapping[str, Sequence[Point]]) -> tuple[bytes, bytes]:
                 )
             )
         handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
-        handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
-        if any(point.enough for point in everything):
+        if measure == ERROR:
+            handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
+        if measure == ERROR and any(point.enough for point in everything):
             handles.append(
                 Line2D([], [], color=INK, marker="o", ms=10, mfc="none", ls="", label="enough for the error asked for")
             )
@@ -225,9 +242,9 @@ def theme() -> str:
     return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"
 
 
-def point_id(point: Point) -> str:
+def point_id(point: Point, measure: str) -> str:
     """The name of a point's marker in the SVG."""
-    return "point-" + "".join(c if c.isalnum() else "-" for c in point.line) + f"-{point.samples}"
+    return f"{measure}-" + "".join(c if c.isalnum() else "-" for c in point.line) + f"-{point.mark}"
 
 
 def percent(value: float) -> str:
@@ -261,19 +278,21 @@ def _dash(name: str, names: Iterable[str]) -> str:
 
 
 def _scales(
-    axes: Any, shown: Sequence[Point], first: Point, *, lowest: float | None = None, dense: bool = True
+    axes: Any, shown: Sequence[Point], first: Point, measure: str, *, lowest: float | None = None, dense: bool = True
 ) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log")
-    errors, times = [p.relative_rms for p in shown], [p.seconds for p in shown]
-    smallest = min([*errors, *([p.bias_rms for p in shown if p.bias_is_seen] if dense else [])])
-    bottom = max(min(smallest, lowest or first.reference_rms), min(smallest, 1.0) / 8.0) / 1.7
+    errors, times = [p.amount(measure) for p in shown], [p.seconds for p in shown]
+    smallest, bottom = min(errors), min(errors) / 1.7
+    if measure == ERROR:
+        smallest = min([smallest, *([p.bias_rms for p in shown if p.bias_is_seen] if dense else [])])
+        bottom = max(min(smallest, lowest or first.reference_rms), min(smallest, 1.0) / 8.0) / 1.7
     axes.set_ylim(bottom, max(errors) * 1.7)
     axes.set_xlim(min(times) / 1.6, max(times) * (2.4 if dense else 1.5))
-    axes.axhspan(
-        bottom / 100, first.reference_rms, color="#8a9096", alpha=0.22, lw=0, zorder=0, label="reference's own error"
-    )
+    if measure == ERROR:
+        own, name = first.reference_rms, "reference's own error"
+        axes.axhspan(bottom / 100, own, color="#8a9096", alpha=0.22, lw=0, zorder=0, label=name)
     axes.grid(which="major", color=GRID, lw=0.7)
     spread_x, spread_y = math.log10(max(times) / min(times) * 2), math.log10(max(errors) / bottom)
     for axis, spread, text in (
@@ -293,16 +312,14 @@ def _scales(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _front(axes: Any, points: Sequence[Point], first: Point) -> list[tuple[float, float]]:
+def _front(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
     """Draw the steps from one point that nothing beats to the next; gives their corners."""
-    shown = [point for point in points if point.relative_rms > 0.0]
-    best = [
-        shown[index]
-        for index in front([(point.seconds, max(point.relative_rms, first.reference_rms)) for point in shown])
-    ]
+    least = points[0].reference_rms if measure == ERROR else 0.0
+    shown = [point for point in points if point.amount(measure) > 0.0 and point.counts(measure)]
+    best = [shown[index] for index in front([(point.seconds, max(point.amount(measure), least)) for point in shown])]
     if not best:
         return []
-    heights = [axes.get_ylim()[1], *(max(point.relative_rms, first.reference_rms) for point in best)]
+    heights = [axes.get_ylim()[1], *(max(point.amount(measure), least) for point in best)]
     ends = [*(point.seconds for point in best[1:]), axes.get_xlim()[1]]
     corners = [(best[0].seconds, heights[0])]
     for point, height, end in zip(best, heights[1:], ends, strict=True):
@@ -318,12 +335,12 @@ def _front(axes: Any, points: Sequence[Point], first: Point) -> list[tuple[float
     return corners
 
 
-def _marker(axes: Any, point: Point, colour: str, marker: str, *, hollow: bool) -> None:
+def _marker(axes: Any, point: Point, measure: str, colour: str, marker: str, *, hollow: bool) -> None:
     face, edge = (PAPER, colour) if hollow else (colour, PAPER)
     size = 7.5 if marker in "sD" else 8.5
     axes.plot(
         [point.seconds],
-        [point.relative_rms],
+        [point.amount(measure)],
         marker,
         color=colour,
         ms=size - hollow,
@@ -331,7 +348,7 @@ def _marker(axes: Any, point: Point, colour: str, marker: str, *, hollow: bool) 
         mec=edge,
         mew=1.3 if hollow else 0.9,
         zorder=4,
-        gid=point_id(point),
+        gid=point_id(point, measure),
     )
 
 
@@ -361,12 +378,14 @@ def _aside(axes: Any, by_line: Mapping[str, Sequence[Point]], first: Point) -> N
     axes.set_title("At the most samples\n○ noise   ◆ bias   ↓ bias below", loc="left", fontsize=9.5)
 
 
-def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tuple[float, float]]) -> None:
-    """Names at the ends of lines, then numbers of samples where there is room for them."""
-    figure = axes.figure
+def _label(axes: Any, points: Sequence[Point], steps: Sequence[tuple[float, float]], measure: str) -> None:
+    """Names at the ends of lines, then words and numbers of samples where there is room for them."""
+    figure, by_line = axes.figure, _drawable(points, measure)
     renderer = figure.canvas.get_renderer()
     to_pixels, unit = axes.transData.transform, figure.dpi / 72.0
-    places = {id(point): to_pixels((point.seconds, point.relative_rms)) for line in by_line.values() for point in line}
+    places = {
+        id(point): to_pixels((point.seconds, point.amount(measure))) for line in by_line.values() for point in line
+    }
     taken: list[tuple[float, float, float, float]] = []
     for point in (point for line in by_line.values() for point in line):
         reach = (10.0 if point.enough else 5.0) * unit
@@ -384,7 +403,7 @@ def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tu
     def put(point: Point, text: str, size: float, weight: str, colour: str, *, must: bool) -> None:
         label = axes.annotate(
             text,
-            (point.seconds, point.relative_rms),
+            (point.seconds, point.amount(measure)),
             (0, 0),
             textcoords="offset points",
             color=colour,
@@ -423,13 +442,15 @@ def _label(axes: Any, by_line: Mapping[str, Sequence[Point]], steps: Sequence[tu
         label.set_position(((best[1][0] + unit - extent.x0) / unit, (best[1][1] - extent.y0) / unit))
         if best[2] > 20.0:
             end = axes.transData.inverted().transform(_nearest(best[1], (x, y)))
-            axes.plot([point.seconds, end[0]], [point.relative_rms, end[1]], color=colour, lw=0.7, alpha=0.7, zorder=2)
+            axes.plot(
+                [point.seconds, end[0]], [point.amount(measure), end[1]], color=colour, lw=0.7, alpha=0.7, zorder=2
+            )
 
     for name, line in sorted(by_line.items(), key=lambda item: -item[1][-1].seconds):
         put(line[-1], name, 10.0, "bold", look(line[0].model)[0], must=True)
     for line in by_line.values():
         for point in dict.fromkeys((line[-1], line[0], *line[1:-1])):
-            put(point, str(point.samples), 8.0, "normal", look(point.model)[0], must=False)
+            put(point, point.mark, 8.0, "normal", look(point.model)[0], must=False)
 
 
 def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:

@@ -16,7 +16,7 @@ from synfog_usd.colour import srgb_encode
 from synfog_usd.study import drawing
 from synfog_usd.study.accuracy import FLOOR, MIDDLE_GREY, Reference, luminance
 from synfog_usd.study.drawing import duration, percent
-from synfog_usd.study.points import TARGETS, Point, summary
+from synfog_usd.study.points import ERROR, MOTTLE, TARGETS, Point, summary
 
 LEAST_WIDTH = 320
 """Pixels of a thumbnail; smaller pictures are shown with each pixel repeated."""
@@ -57,8 +57,9 @@ def page(
     points = [point for line in by_line.values() for point in line]
     body = drawing.themed(svg)
     for point in points:
-        group = f'<g id="{drawing.point_id(point)}">'
-        body = body.replace(group, f"{group}<title>{html.escape(_tip(point))}</title>")
+        for measure in (ERROR, MOTTLE):
+            group = f'<g id="{drawing.point_id(point, measure)}">'
+            body = body.replace(group, f"{group}<title>{html.escape(_tip(point))}</title>")
     first = points[0]
     said = "".join(f"<li>{html.escape(line)}</li>" for line in verdicts("", points))
     left_out = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
@@ -86,11 +87,12 @@ def index(stages: Mapping[str, Sequence[Point]], rows: Sequence[Mapping[str, Any
     )
     return _document(
         "Speed against accuracy",
-        "<h1>Speed against accuracy</h1><p>Seconds to a total error, for the fastest of our models and for the best of "
-        "Mitsuba's own; "
+        "<h1>Speed against accuracy</h1><p>Seconds to a total error and to a mottle, for the fastest of our models and "
+        "for the best of Mitsuba's own; "
         "<em>~</em> is extrapolated from fewer samples by the square root.</p>"
         f'<div class=wide>{html_table(rows)}</div><p><a href="summary.csv">summary.csv</a></p>'
-        '<figure class=chart><img src="suite.png" alt="All stages"></figure>'
+        '<figure class=chart><img src="suite.png" alt="Error on all stages"></figure>'
+        '<figure class=chart><img src="mottle.png" alt="Mottle on all stages"></figure>'
         f'<div class=grid style="grid-template-columns:repeat(auto-fill,minmax(440px,1fr))">{cells}</div>',
     )
 
@@ -102,17 +104,22 @@ def verdicts(stage: str, points: Sequence[Point]) -> list[str]:
 
 def sentence(row: Mapping[str, Any]) -> str:
     """A row of the summary in words."""
-    target = f"{100 * float(row['target']):g} %"
+    target = target_words(row["measure"], float(row["target"]))
     if not row["best"]:
-        return f"{target} error: none of our models." + (
+        return f"{target}: none of our models." + (
             f" {row['peer']} takes {seconds(row, 'peer')}." if row["peer"] else ""
         )
-    text = f"{target} error: {row['best']} in {seconds(row, 'best')}"
+    text = f"{target}: {row['best']} in {seconds(row, 'best')}"
     if row["unbiased"] and row["unbiased"] != row["best"]:
         text += f", without bias {row['unbiased']} in {seconds(row, 'unbiased')}"
     if row["peer"]:
         text += f"; {row['peer']} takes {seconds(row, 'peer')}, {times(row, 'best')}"
     return text + "."
+
+
+def target_words(measure: str, target: float) -> str:
+    """'1 % error', '1 % mottle'."""
+    return f"{100 * target:g} % {measure}"
 
 
 def seconds(row: Mapping[str, Any], who: str) -> str:
@@ -130,7 +137,7 @@ def times(row: Mapping[str, Any], who: str) -> str:
 
 def html_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The summary as a table: a row a stage, columns by target."""
-    head = "".join(f"<th colspan=4>{100 * target:g} %</th>" for target in TARGETS)
+    head = "".join(f"<th colspan=4>{target_words(*target)}</th>" for target in TARGETS)
     below = "<th>fastest</th><th>s</th><th>best peer</th><th>ratio</th>" * len(TARGETS)
     body = ""
     for name in dict.fromkeys(row["stage"] for row in rows):
@@ -218,6 +225,7 @@ def _numbers(points: Sequence[Point]) -> str:
         "total",
         "noise",
         "bias of a pixel",
+        "mottle",
         "95th pct.",
         "FLIP",
         "bias of the mean",
@@ -225,8 +233,8 @@ def _numbers(points: Sequence[Point]) -> str:
     )
     body = "".join(
         f"<tr{' class=front' if p.on_front else ''}><td>{_key(p)}{html.escape(p.line)}{' (enough)' if p.enough else ''}</td>"  # noqa: E501
-        f"<td>{p.samples}</td><td>{_time(p.seconds)}</td><td>{_time(p.first_call_s)}</td><td>{percent(p.relative_rms)}</td><td>{percent(p.noise_rms)}</td>"
-        f"<td>{percent(p.bias_rms) if p.bias_is_seen else '&lt; ' + percent(p.bias_limit)}</td><td>{percent(p.p95)}</td>"  # noqa: E501
+        f"<td>{_amount(p)}</td><td>{_time(p.seconds)}</td><td>{_time(p.first_call_s)}</td><td>{percent(p.relative_rms)}</td><td>{percent(p.noise_rms)}</td>"
+        f"<td>{percent(p.bias_rms) if p.bias_is_seen else '&lt; ' + percent(p.bias_limit)}</td><td>{percent(p.mottle)}</td><td>{percent(p.p95)}</td>"  # noqa: E501
         f"<td>{'' if math.isnan(p.flip) else f'{p.flip:.3f}'}</td><td>{100 * p.bias:+.2g} "
         f"%</td><td>{percent(p.bias_error)}</td></tr>"
         for p in points
@@ -247,9 +255,14 @@ def _numbers(points: Sequence[Point]) -> str:
 def _tip(point: Point) -> str:
     bias = percent(point.bias_rms) if point.bias_is_seen else f"< {percent(point.bias_limit)}"
     return (
-        f"{point.line}, {point.samples} samples: {_time(point.seconds)}, total {percent(point.relative_rms)}, noise "
-        f"{percent(point.noise_rms)}, bias {bias}"
+        f"{point.line}, {_amount(point)} samples: {_time(point.seconds)}, total {percent(point.relative_rms)}, noise "
+        f"{percent(point.noise_rms)}, bias {bias}, mottle {percent(point.mottle)}"
     )
+
+
+def _amount(point: Point) -> str:
+    """'16', 'draft, 4'."""
+    return f"{point.quality}, {point.samples}" if point.quality else str(point.samples)
 
 
 def _alt(points: Sequence[Point]) -> str:

@@ -16,8 +16,10 @@ from typing import Any
 
 from synfog_usd.render.models import having
 
-TARGETS = (0.01, 0.03, 0.10)
-"""Total errors that the summary tells the seconds of."""
+ERROR, MOTTLE = "error", "mottle"
+
+TARGETS = ((ERROR, 0.01), (ERROR, 0.03), (ERROR, 0.10), (MOTTLE, 0.01))
+"""What the summary tells the seconds of: total errors, and clouds."""
 
 
 @dataclass(frozen=True)
@@ -27,19 +29,20 @@ class Setting:
     Attributes:
         scatterings: how often the fog may scatter a path; None is without end.
         bands: light that a path carries: 3 for R, G and B, or a number of wavelength bands.
-        denoise: whether the picture is denoised, and the time that takes counted.
+        quality: whether points are the words of `numbers.QUALITIES`, each as a bake renders it, instead of numbers of
+            samples.
     """
 
     scatterings: int | None = None
     bands: int = 3
-    denoise: bool = False
+    quality: bool = False
 
     @property
     def words(self) -> str:
         """For a label, '' where nothing is set."""
         parts = [f"depth {self.scatterings}"] if self.scatterings is not None else []
         parts += [f"{self.bands} bands"] if self.bands != 3 else []
-        parts += ["denoised"] if self.denoise else []
+        parts += ["by quality"] if self.quality else []
         return ", ".join(parts)
 
 
@@ -52,7 +55,8 @@ class Point:
 
     Attributes:
         line: model and setting in words.
-        model, scatterings, bands, denoise, samples: what was run; an empty cell of `scatterings` is without end.
+        model, scatterings, bands, quality, samples: what was run; an empty cell of `scatterings` is without end, one of
+            `quality` no word but so many samples.
         unbiased: whether the model has no bias by its making, and nothing was cut off or smoothed.
         seconds: wall time of a render on a loaded scene whose kernel is there already, with what the model prepares for
             itself: the least of RUNS - 1, since other work on the machine only adds to it.
@@ -64,6 +68,7 @@ class Point:
         bias_limit: bias of a pixel, RMS, that two standard errors leave room for; above it, none.
         bias_is_seen: whether `bias_rms` is more than three standard errors from none.
         p95: 95th percentile over the pixels of the absolute relative difference.
+        mottle: what of the noise the eye takes for clouds, relative, see `accuracy.mottle`.
         flip: mean HDR-FLIP of a run; NaN where OpenImageIO has none.
         bias, bias_error: difference of the means over the reference's, and its standard error.
         mean_nits: mean luminance of the renders.
@@ -78,7 +83,7 @@ class Point:
     model: str
     scatterings: int | None
     bands: int
-    denoise: bool
+    quality: str
     unbiased: bool
     samples: int
     seconds: float
@@ -90,6 +95,7 @@ class Point:
     bias_limit: float
     bias_is_seen: bool
     p95: float
+    mottle: float
     flip: float
     bias: float
     bias_error: float
@@ -104,6 +110,19 @@ class Point:
     height: int
     variant: str
     machine: str
+
+    def counts(self, measure: str) -> bool:
+        """Whether it may be the best: what leaves light out is smooth and wrong, so no clouds in it are no merit."""
+        return measure == ERROR or self.model in having("unbiased")
+
+    def amount(self, measure: str) -> float:
+        """Its total error or its mottle."""
+        return self.mottle if measure == MOTTLE else self.relative_rms
+
+    @property
+    def mark(self) -> str:
+        """What is written beside it: its word, or its number of samples."""
+        return self.quality or str(self.samples)
 
 
 def line_name(model: str, setting: Setting) -> str:
@@ -148,11 +167,12 @@ class Price:
     beyond: float
 
 
-def price(line: Sequence[Point], target: float) -> Price | None:
-    """Seconds to a total error, or None where bias alone is more.
+def price(line: Sequence[Point], target: float, measure: str = ERROR) -> Price | None:
+    """Seconds to a total error or a mottle, or None where bias alone is more.
 
-    Noise falls with the square root of samples: its square times samples, averaged over
-    the line's points, is a constant of the line.  Bias is that of the most samples: where
+    Noise and mottle fall with the square root of samples: the square times samples, averaged over
+    the line's points, is a constant of the line.  Words of quality do not: of these it is the
+    fastest that has it.  Bias is that of the most samples: where
     none is seen it is 0 for a model that has none by its making, and the limit of what
     could be there for any other.  Seconds are interpolated between points, never less than the
     least that was measured, and go on beyond them with the last slope.
@@ -161,6 +181,14 @@ def price(line: Sequence[Point], target: float) -> Price | None:
         line: points of one model and setting, by rising samples.
     """
     last = line[-1]
+    if last.quality:
+        there = [point for point in line if point.amount(measure) <= target]
+        found = min(there, key=lambda point: point.seconds, default=None)
+        return found and Price(last.line, found.samples, found.seconds, 1.0)
+    if measure == MOTTLE:
+        clouds = sum(point.mottle**2 * point.samples for point in line) / len(line)
+        samples = max(clouds / target**2, float(line[0].samples))
+        return Price(last.line, samples, _seconds(line, samples), samples / last.samples)
     bias = 0.0 if last.unbiased else last.bias_rms if last.bias_is_seen else last.bias_limit
     room = target**2 - bias**2
     if room <= 0.0:
@@ -193,15 +221,16 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
     rows, peers = [], having("peer")
     first = points[0]
     by_line = lines(points)
-    for target in TARGETS:
-        prices = {name: found for name, line in by_line.items() if (found := price(line, target))}
-        ours = [found for name, found in prices.items() if by_line[name][0].model not in peers]
+    for measure, target in TARGETS:
+        prices = {name: found for name, line in by_line.items() if (found := price(line, target, measure))}
+        may = {name: found for name, found in prices.items() if by_line[name][0].counts(measure)}
+        ours = [found for name, found in may.items() if by_line[name][0].model not in peers]
         fair = [found for found in ours if by_line[found.line][0].unbiased]
         theirs = [found for name, found in prices.items() if by_line[name][0].model in peers]
         best, unbiased, peer = (
             min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, theirs)
         )
-        row: dict[str, Any] = {"stage": stage, "target": target}
+        row: dict[str, Any] = {"stage": stage, "measure": measure, "target": target}
         for name, found in (("best", best), ("unbiased", unbiased), ("peer", peer)):
             row |= {name: found.line if found else "", f"{name}_samples": math.ceil(found.samples) if found else ""}
             row |= {f"{name}_seconds": found.seconds if found else "", f"{name}_beyond": found.beyond if found else ""}
