@@ -114,7 +114,7 @@ def check_bands(count: int) -> None:
         ParameterError: with those that do.
     """
     if count not in (RGB, *BANDS):
-        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))} or auto")
+        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))}")
 
 
 def check_light(*, scale: float, sun_lux: float | None) -> None:

@@ -130,14 +130,8 @@ def bake(
         typer.Option(help="Relative error of a pixel to stop at, as 0.01, instead of what --quality promises."),
     ] = None,
     bands: Annotated[
-        str,
-        typer.Option(
-            help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands; auto takes as few as will do."
-        ),
-    ] = "auto",
-    cull: Annotated[
-        bool, typer.Option(help="Simplify or leave out what fog hides from the sensor; --no-cull draws it whole.")
-    ] = True,
+        int, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands.")
+    ] = numbers.RGB,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     same_noise: Annotated[
         bool,
@@ -182,7 +176,6 @@ def bake(
             samples=samples,
             target_error=target_error,
             bands=bands,
-            cull=cull,
             seed=seed,
             same_noise=same_noise,
             variant=options.device(variant, gpu),

@@ -138,12 +138,6 @@ def _size(value: Any, option: str) -> tuple[int, int] | None:
     return numbers.size_of(value if isinstance(value, str) else repr(value))
 
 
-def _bands(value: Any, option: str) -> int | None:
-    if value == "auto":
-        return None
-    return numbers.count_of(value, option) if isinstance(value, str) else count(value, option)
-
-
 def _folders(value: Any, option: str) -> tuple[Path, ...]:
     several = value if isinstance(value, (list, tuple)) else [value]
     return tuple(path_of(one, option) for one in several)
@@ -181,8 +175,7 @@ OPTIONS: dict[str, Reader] = {
     "quality": _quality,
     "samples": count,
     "target_error": number,
-    "bands": _bands,
-    "cull": _switch,
+    "bands": count,
     "seed": count,
     "same_noise": _switch,
     "variant": word,

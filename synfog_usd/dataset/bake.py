@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from synfog_usd.camera.distortion import Pinhole
-    from synfog_usd.cull import Hidden, Parts
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered, Settings
     from synfog_usd.scene import Note, SceneDict
+    from synfog_usd.transmittance import PartBoxes
 
 OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
 """Files of a shot beside what its graph makes."""
@@ -45,11 +45,6 @@ METERED, SET_UP = 0.01, 0.03
 ALONE_PX = 1 << 20
 """Pixels of a picture beyond which memory comes before time: it is made without the scene, which is loaded anew for the
 next, and written before that is sampled.  The crossing's scene has 0.8 GB.
-"""
-
-ANOTHER_LOAD = 0.5
-"""Share of a scene's triangles that its fog must hide: what is left is loaded once more, with kernels of its own, where
-the whole is loaded already.
 """
 
 
@@ -177,8 +172,7 @@ def bake(
             row = _finish(made, graph, plan, specimen)
             ledger.add(shot, row)
             seconds[shot.folder] = time.perf_counter() - began
-            told = made.hidden.sentence(made.scene)
-            for line in (*([told] if told else []), *row["warnings"]):
+            for line in row["warnings"]:
                 log(f"{shot.folder}: {line}")
 
         if alone or every[0] not in unfinished:
@@ -201,15 +195,7 @@ def bake(
                     log(f"{shot.lighting}: {scenes.light[shot.lighting]}")
                 if clear is not None:
                     step("metering", METERED)
-                    view = views[shot.lighting] = meter_view(
-                        shot.lighting,
-                        clear,
-                        session,
-                        plan,
-                        scenes.taken,
-                        behind.wait,
-                        within(step, METERED, SET_UP),
-                    )
+                    view = views[shot.lighting] = meter_view(shot.lighting, clear, session, plan, behind.wait)
                     mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
                     exposed = f", exposed {view.exposure}" if view.exposure else ""
                     log(f"{shot.lighting}: this view has {mean}{exposed}")
@@ -246,21 +232,18 @@ class _View:
         exposure: see `camera.meter`; None where the graph says it.
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
         luminance: of the small frame that was metered [cd m-2].
-        bands: see `choose_bands`: chosen here for all fogs but coloured ones, since grey fog mixes light and
-            changes its colours little; None where they are given or too few paths would carry them.
         seen: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
-        parts: of that world, see `cull.parts_of`.
+        parts: of that world, see `transmittance.boxes_of`.
         others: name of a further graph -> how it exposes, see `BakePlan.meter_for`.
     """
 
     exposure: Any
     pixel: tuple[float, float] | None
     luminance: np.ndarray
-    bands: tuple[int, str, dict[str, float]] | None
     seen: Aovs
     world: Mapping[str, Any]
-    parts: Parts
+    parts: PartBoxes
     others: Mapping[str, Any]
 
     @property
@@ -305,12 +288,10 @@ def meter_view(
     clear: Mapping[str | None, SceneDict],
     session: Session,
     plan: BakePlan,
-    taken: Pinhole | None,
     ready: Callable[[], None],
-    progress: Progress,
 ) -> _View:
     """Scenes without fog, the camera's own first, metered on small frames; the graph runs after `ready`."""
-    from synfog_usd import camera, cull, photometry
+    from synfog_usd import camera, photometry, transmittance
     from synfog_usd.render import models
     from synfog_usd.render.film import aovs
 
@@ -337,34 +318,11 @@ def meter_view(
         exposure,
         pixel,
         photometry.luminance(frame),
-        _bands(lighting, loaded, plan, pixel, _density(scene, taken), progress),
         aovs.measure(loaded),
         scene.world,
-        cull.parts_of(scene.world),
+        transmittance.boxes_of(scene.world),
         others,
     )
-
-
-def _bands(
-    lighting: str,
-    loaded: MitsubaScene,
-    plan: BakePlan,
-    pixel: tuple[float, float] | None,
-    density: float,
-    progress: Progress,
-) -> tuple[int, str, dict[str, float]] | None:
-    """See `_View`."""
-    from synfog_usd.render import backend, models
-    from synfog_usd.render.shot import may_carry_bands
-    from synfog_usd.render.spectra.choose import choose_bands
-
-    camera, able = loaded.source.camera, plan.model == models.AUTO or models.MODELS[plan.model].bands
-    paths = camera.width_px * camera.height_px * plan.samples
-    if plan.bands is not None or backend.is_scalar() or not able or not may_carry_bands(None, paths):
-        return None
-    model, _ = models.choose(models.AUTO, loaded.source)
-    target = _settings(plan, _shared(_noise(pixel), density) if pixel else None, density).target
-    return choose_bands(loaded, model, target=target, seed=seed32(plan.seed, lighting), progress=progress)
 
 
 @dataclass(frozen=True)
@@ -375,8 +333,7 @@ class ShotMade:
         shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what
             came of it.
         noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
-        bands: those of the view, where they were taken.
-        hidden: what the fog hides.
+        clear: label id -> transmittance of the fog before an instance.
         exposures: inputs of the graph that see a part of the exposure -> their radiance.
     """
 
@@ -386,8 +343,7 @@ class ShotMade:
     taken: Pinhole | None
     rendered: Rendered
     noise: Callable[[np.ndarray], np.ndarray] | None
-    bands: tuple[int, str, dict[str, float]] | None
-    hidden: Hidden
+    clear: Mapping[int, float]
     exposures: Mapping[str, Image]
 
 
@@ -440,51 +396,28 @@ def sample_shot(
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
     makes its pictures.
     """
-    from synfog_usd import cull
+    from synfog_usd import transmittance
     from synfog_usd.render.shot import sample
 
     density = _density(scene, taken)
     floor = _shared(view.noise, density) if view and view.noise else None
-    bulk = view.parts if view and view.world is scene.world else cull.parts_of(scene.world)
-    if plan.cull and view and floor:
-        hidden = cull.hide(scene, floor, view.luminance, parts=bulk)
-    else:
-        hidden = cull.through(scene, bulk)
-    if 0 < hidden.triangles < ANOTHER_LOAD * hidden.of_triangles:
-        hidden = replace(
-            cull.through(scene, bulk), why="too little lies behind fog to load the scene once more without it"
-        )
-    drawn = cull.reduced(scene, hidden)
-    loaded = None
-    if drawn is scene:
-        loaded = renderer.loaded_for(drawn, plan.model)
-    else:
-        renderer.free()
-    same = (
-        view is not None
-        and view.world is scene.world
-        and loaded is not None
-        and not loaded.boundaries
-        and not scene.camera.width_m
-    )
+    looked_at = view if view and view.world is scene.world else None
+    through = transmittance.of_instances(scene, looked_at and looked_at.parts)
+    loaded = renderer.loaded_for(scene, plan.model)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
     settings = _settings(plan, floor, density, seed32(plan.seed, shot.lighting, shot.fog))
-    grey = all(volume.medium.angstrom == 0.0 and volume.medium.profile != "grid" for volume in scene.fog)
-    bands = view.bands if view and grey else None
-    if bands:
-        settings = replace(settings, bands=bands[0])
-    clear = view.seen if view and (hidden.triangles or same) else None
+    clear = looked_at.seen if looked_at and not loaded.boundaries and not scene.camera.width_m else None
     share = 1.0 / (1 + len(moving))
     told = within(progress, 0.0, share)
-    rendered = sample(drawn, settings, loaded=loaded, clear=clear, progress=told)
+    rendered = sample(scene, settings, loaded=loaded, clear=clear, progress=told)
     parts = {}
     for number, (name, part) in enumerate(moving.items(), 1):
-        eye = replace(drawn.camera, exposes=part)
-        known = loaded.source if loaded else drawn
+        eye = replace(scene.camera, exposes=part)
+        known = loaded.source
         parts[name] = sample(
-            replace(drawn, camera=eye),
+            replace(scene, camera=eye),
             replace(settings, seed=seed32(settings.seed, name)),
-            loaded=loaded and replace(loaded, source=replace(known, camera=replace(known.camera, exposes=part))),
+            loaded=replace(loaded, source=replace(known, camera=replace(known.camera, exposes=part))),
             clear=clear,
             progress=within(progress, number * share, (number + 1) * share),
         )
@@ -496,7 +429,7 @@ def sample_shot(
             for number, (name, part) in enumerate(parts.items(), 1)
         }
         seen = seen or dict.fromkeys(exposures, whole.radiance)
-        return ShotMade(shot, scene, view, taken, whole, floor, bands, hidden, seen)
+        return ShotMade(shot, scene, view, taken, whole, floor, through, seen)
 
     return picture
 
@@ -585,7 +518,7 @@ def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) ->
     if rendered.error is not None:
         found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
     writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    files.write_json(folder / "instances.json", labels.instance_list(made.hidden, scene, _left(made, graph)))
+    files.write_json(folder / "instances.json", labels.instance_list(made.clear, scene, _left(made, graph)))
     names = [*OF_SHOT]
     for name, part in exposures.items():
         names.append(f"{name}.exr")
@@ -602,7 +535,6 @@ def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) ->
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
         names.append(name)
-    pilot = {"bands": made.bands[2]} if made.bands else rendered.figures
     return {
         "lighting": shot.lighting,
         "fog": shot.fog,
@@ -614,8 +546,7 @@ def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) ->
         "model": {
             "name": rendered.model,
             "bands": len(radiance.channels),
-            "why": rendered.why + (f"; {made.bands[0]} bands: in clear air {made.bands[1]}" if made.bands else ""),
-            **({"pilot": _rounded(pilot)} if pilot else {}),
+            "why": rendered.why,
         },
         "samples": float(f"{rendered.samples:.5g}"),
         "denoised": bool(rendered.radiance.provenance.get("denoised", False)),
@@ -639,7 +570,6 @@ def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) ->
             if view and view.others
             else {}
         ),
-        "behind_fog": made.hidden.metadata(scene),
         "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
         "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
     }
@@ -688,10 +618,6 @@ def _why_black(radiance: Image, scene: SceneDict) -> str | None:
         if (radiance.pixels > 0.0).any()
         else why_black(scene) or "the picture is black: no light reaches the camera"
     )
-
-
-def _rounded(figures: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    return {model: {name: float(f"{value:.4g}") for name, value in values.items()} for model, values in figures.items()}
 
 
 def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendered) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from scipy.ndimage import find_objects
 
 from synfog_usd import cityscapes
 from synfog_usd.arrays import distinct
-from synfog_usd.cull import Hidden
 from synfog_usd.dataset import stereo, visibility
 from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
@@ -161,36 +160,32 @@ def label_list(
 
 
 def instance_list(
-    hidden: Hidden, scene: SceneDict, seen: Mapping[int, Mapping[str, Any]] | None = None
+    clear: Mapping[int, float], scene: SceneDict, seen: Mapping[int, Mapping[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """What instances.json holds: how much fog stands before every instance of one shot, and whether the picture has it
-    whole.
+    """What instances.json holds: how much fog stands before every instance of one shot.
 
-    `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form; `drawn` is
-    'whole', 'simplified' or 'left out'.  Labels have every instance either way.  Where there are more than `MOST_TOLD`
-    it has those that are seen.
+    `transmittance` is the largest over the boxes of its parts, null where the fog has no closed form.  Where there are
+    more than `MOST_TOLD` it has those that are seen.
 
     Args:
-        hidden: what lies behind the fog.
+        clear: label id -> transmittance, see `transmittance.of_instances`.
         scene: of the shot.
         seen: label id -> what the fog leaves of an instance, see `visibility.rows`.
     """
-    found = hidden.instances(scene)
     rows = []
     for instance in told(scene.instances, list(seen or {})):
-        clear, drawn = found.get(instance.id, (None, "whole"))
+        through = clear.get(instance.id)
         rows.append(
             {
                 "id": instance.id,
                 "path": instance.path,
-                "transmittance": None if clear is None else float(f"{clear:.4g}"),
-                "drawn": drawn,
+                "transmittance": None if through is None else float(f"{through:.4g}"),
                 **(seen or {}).get(instance.id, {}),
             }
         )
     return {
         "schema": "synfog-usd/instances",
-        "version": 2,
+        "version": 3,
         "thresholds": visibility.thresholds(),
         "instances": rows,
     }

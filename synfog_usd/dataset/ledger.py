@@ -62,7 +62,6 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "samples": plan.samples,
             "target_error": plan.target_error,
             "bands": plan.bands,
-            "cull": plan.cull,
             "seed": plan.seed,
             "lights": plan.lights,
             "light_scale": plan.light_scale,

@@ -90,7 +90,6 @@ class BakePlan:
         quality: a word of `numbers.QUALITIES`: when sampling stops, and whether pictures are denoised.
         model, samples, seed, target_error, bands: see `render.shot.Settings`. Samples are the quality's where None; a
             target error replaces its target.
-        cull: whether what fog hides from the sensor is simplified or left out, see `cull`.
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
@@ -121,8 +120,7 @@ class BakePlan:
     model: str = "auto"
     samples: int | None = None
     target_error: float | None = None
-    bands: int | None = None
-    cull: bool = True
+    bands: int = numbers.RGB
     seed: int = 0
     variant: str = "auto"
     strict: bool = False
@@ -161,8 +159,7 @@ class BakePlan:
         numbers.check_distance(self.max_distance_m)
         numbers.check_shutter(self.shutter_s)
         numbers.check_exposure(exposure_s=self.exposure_s, iso=self.iso, ev=self.ev)
-        if self.bands is not None:
-            numbers.check_bands(self.bands)
+        numbers.check_bands(self.bands)
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)

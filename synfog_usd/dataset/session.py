@@ -17,6 +17,7 @@ from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.scenes import Scenes
 from synfog_usd.errors import GraphError, StageError
 from synfog_usd.image import Image, Quantity
+from synfog_usd.numbers import RGB
 from synfog_usd.seeds import frame_seed, seed32
 
 if TYPE_CHECKING:
@@ -180,12 +181,11 @@ class Renderer:
     def within(self, scene: SceneDict) -> MitsubaScene:
         """The scene in the renderer, without boundaries of fog."""
         from synfog_usd.render.load import in_fog
-        from synfog_usd.render.shot import load, look, may_carry_bands
+        from synfog_usd.render.shot import load, look
 
         if self.world is not scene.world:
             self.free()
-            paths = scene.camera.width_px * scene.camera.height_px * self.plan.samples
-            spectra = may_carry_bands(self.plan.bands, paths)
+            spectra = self.plan.bands != RGB
             self.loaded, self.world = load(scene, boundaries=False, spectra=spectra), scene.world
             self.views[scene.camera.path] = self.loaded
         if scene.camera.path not in self.views:

@@ -36,13 +36,9 @@ from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
 from synfog_usd.render.spectra import bands as banding
-from synfog_usd.render.spectra.choose import choose_bands
 from synfog_usd.scene import Camera, SceneDict
 
 PROBE_PX = (64, 36)
-
-WORTH_TRYING_BANDS = 1 << 23
-"""Paths of an image from which on it pays to try wavelength bands on a small one, which want kernels of their own."""
 
 LARGE_ERROR = 0.25
 """Error of the median pixel after denoising from which on a warning is given."""
@@ -53,9 +49,6 @@ DENOISING = 5.0
 
 SEEN_FLOATS, CLEANING_FLOATS = 14, 36
 """What `Aovs`, and guides, luminances and the denoiser's own pictures take of a pixel, in units of 4 B."""
-
-CHOOSING = 0.1
-"""Part of the progress that choosing bands is given."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,6 @@ class Rendered:
             denoised, and of a draft.
         relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
         warnings: what went wrong on the way, in words.
-        figures: what `choose_bands` measured; empty where bands were given.
         samples: paths per pixel on average, as `Settings` means them.
         met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
             target.
@@ -93,7 +85,6 @@ class Rendered:
     model: str
     why: str
     warnings: tuple[str, ...]
-    figures: Mapping[str, Mapping[str, float]]
     samples: float
     met: float | None
 
@@ -113,8 +104,7 @@ class Settings:
             None.
         scatterings, bounces: limits of `path`: how often the fog, and how often surfaces, may scatter a
             path; None is no limit.
-        bands: light that each path carries: 3 for R, G and B; 8, 16 or 31 wavelength bands; None lets
-            `choose_bands` choose.
+        bands: light that each path carries: 3 for R, G and B, or 8, 16 or 31 wavelength bands.
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
         draft: denoise for a look alone, see `denoise.denoise_draft`.
@@ -134,7 +124,7 @@ class Settings:
     sensor_sigma: Callable[[np.ndarray], np.ndarray] | None = None
     scatterings: int | None = None
     bounces: int | None = None
-    bands: int | None = numbers.RGB
+    bands: int = numbers.RGB
     denoise: bool = False
     draft: bool = False
     regularize: bool = True
@@ -143,8 +133,7 @@ class Settings:
         models.check_name(self.model)
         numbers.check_samples(self.samples)
         numbers.check_target(self.target_error)
-        if self.bands is not None:
-            numbers.check_bands(self.bands)
+        numbers.check_bands(self.bands)
 
     @property
     def target(self) -> Target:
@@ -158,7 +147,7 @@ def picture_bytes(scene: SceneDict, settings: Settings) -> int:
     Measured on the crossing at noon, from 960x540 to 1920x1080: 0.37 kB a pixel, and 0.36 by this; at dusk at MOR 150,
     less what light groups take since: 0.52 and 0.62; `LIT` adds 0.06 to both.
     """
-    channels, foggy = settings.bands or numbers.RGB, bool(scene.fog)
+    channels, foggy = settings.bands, bool(scene.fog)
     lamps = any(is_sampled_light(part) for part in scene.world.values())
     estimators = [SURFACE, *([INSCATTERED] if foggy else [])]
     estimators += ([LAMPS, DIRECT, LIT] if foggy else [DIRECT, LIT]) * lamps
@@ -205,8 +194,7 @@ def render(
         scene: what `translate` made.
         settings: what it is to be; `Settings()` if left out.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
-        clear: what the pixel-centre rays meet in clear air, where the scene has less in it than it should, see `cull`;
-            None measures it.
+        clear: what the pixel-centre rays meet in clear air, where that is known; None measures it.
         progress: told after each pass.
         changes: attributes of `settings` by name, as in `render(scene, model="path", samples=16)`.
 
@@ -260,23 +248,12 @@ def sample(
     )
     check_memory(scene, settings)
     target = settings.target
-    width, height = size or (scene.camera.width_px, scene.camera.height_px)
-    figures: dict[str, dict[str, float]] = {}
     warnings = list[str]()
     if denoise and (problem := denoising.available()):
         warnings.append(f"not denoised, so it takes many more samples: {problem}")
         denoise = False
     model, why = models.choose(model, scene)
-    spectra = may_carry_bands(bands, width * height * samples)
-    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries, spectra=spectra)
-    if bands is None:
-        bands = numbers.RGB
-        if models.MODELS[model].bands and spectra:
-            bands, because, figures["bands"] = choose_bands(
-                loaded, model, target=target, seed=seed, progress=within(progress, 0.0, CHOOSING)
-            )
-            progress = within(progress, CHOOSING, 1.0)
-            why += f"; {bands} bands: {because}"
+    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries, spectra=bands != numbers.RGB)
     make = functools.partial(
         models.make,
         model,
@@ -412,7 +389,6 @@ def sample(
             model,
             why,
             tuple(warnings),
-            figures,
             spent,
             met,
         )
@@ -497,11 +473,6 @@ class _Cleaning:
         if self._guides is None:
             raise MemoryError
         return self._guides
-
-
-def may_carry_bands(bands: int | None, paths: int) -> bool:
-    """Whether the paths of a picture may carry bands, or only R, G and B: as it is asked for, else as is chosen."""
-    return paths >= WORTH_TRYING_BANDS if bands is None else bands != numbers.RGB
 
 
 def load(

@@ -50,8 +50,8 @@ SECTIONS = (
     "exposure",
     "splits",
 )
-QUALITY = ("word", "model", "samples", "target_error", "bands", "cull")
-NO_LONGER = ("denoise", "regularize", "time_limit")
+QUALITY = ("word", "model", "samples", "target_error", "bands")
+NO_LONGER = ("denoise", "regularize", "time_limit", "cull")
 """Keys that quality once had."""
 EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
 """Key of a set's exposure -> what `BakePlan` calls it."""
@@ -368,7 +368,8 @@ class _SetReader:
             if isinstance(item.value, dict) and key in item.value:
                 raise SetError(
                     f"{item.value[key].key_place}: quality takes no {key!r} any more: word: reference is neither "
-                    f"denoised nor regularized, every other word is both, and samples or target_error end a shot"
+                    f"denoised nor regularized, every other word is both; samples or target_error end a shot; all that "
+                    f"stands in fog is drawn"
                 )
         found = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
         kinds = {
@@ -377,7 +378,6 @@ class _SetReader:
             "samples": (int, "a whole number"),
             "target_error": (float, "a number"),
             "bands": (int, "a whole number"),
-            "cull": (bool, "true or false"),
         }
         for key, value in found.items():
             place, (kind, form) = item.value[key].place, kinds[key]

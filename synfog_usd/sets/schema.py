@@ -108,7 +108,6 @@ def _sections() -> dict[str, Any]:
                 "samples": {"type": "integer", "minimum": SAMPLES[0], "maximum": SAMPLES[1]},
                 "target_error": {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
                 "bands": {"enum": [RGB, *BANDS]},
-                "cull": {"type": "boolean"},
             },
         },
         "exposure": {

@@ -404,24 +404,6 @@ def test_a_large_picture_is_made_without_its_scene_to_the_same_bytes(unbroken, s
     assert sum(loaded is not None for loaded in loads) == len(fogs)
 
 
-def test_bands_are_chosen_once_a_lighting_for_its_grey_fogs(tmp_path, monkeypatch):
-    """In clear air, whatever else is baked or was finished before; haze that is not grey is looked at by itself."""
-    from synfog_usd.render import shot
-
-    monkeypatch.setattr(shot, "WORTH_TRYING_BANDS", 0)
-    hazy, rows = tmp_path / "hazy.usda", {}
-    thin = "float synfog:fog:mor = 600"
-    hazy.write_text(street(lamp=True).replace(thin, f"{thin}\n                float synfog:fog:angstrom = 1.3"))
-    for fogs in ("clear,mor600,mor150", "mor150"):
-        options = ["--resolution", "32x18", "--samples", "16", "--lighting", "sky", "--fog", fogs, "--json"]
-        done = run("bake", hazy, "-o", tmp_path / fogs, *options)
-        rows[fogs] = [row["model"] for row in json.loads(done.stdout)["shots"]]
-    clear, haze, fog = rows["clear,mor600,mor150"]
-    assert clear["pilot"]["bands"] == fog["pilot"]["bands"] == rows["mor150"][0]["pilot"]["bands"]
-    assert haze["pilot"]["bands"] != fog["pilot"]["bands"] and "in clear air" not in haze["why"]
-    assert "in clear air" in clear["why"] and "in clear air" in fog["why"]
-
-
 def test_a_picture_that_memory_does_not_hold_is_refused_before_it_is_begun(stage, tmp_path, monkeypatch):
     """It is told what it would take: 10 to 16 GB, by what a picture of a sixteenth of the pixels was seen to take."""
     from synfog_usd import system

@@ -10,7 +10,6 @@ import trimesh
 from PIL import Image as Picture
 
 from synfog_usd import files, writers
-from synfog_usd.cull import through
 from synfog_usd.dataset import labels, objects, visibility
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.image import Image, Quantity
@@ -18,6 +17,7 @@ from synfog_usd.render.film import aovs
 from synfog_usd.render.load import in_fog, to_mitsuba
 from synfog_usd.scene import Instance
 from synfog_usd.testing import black, box, scene
+from synfog_usd.transmittance import of_instances
 
 PAINT = {"type": "ref", "id": "mat_black"}
 FOGS = {"clear": None, "mor150": 150.0, "mor50": 50.0}
@@ -87,7 +87,7 @@ def bake(folder: Path, source=None) -> Baked:
             seen.instance_id, here.transmittance, light, here.transmittance * shade, lambda L: 0.02 * L
         )
         place = folder / "sky" / fog
-        files.write_json(place / "instances.json", labels.instance_list(through(foggy), foggy, rows))
+        files.write_json(place / "instances.json", labels.instance_list(of_instances(foggy), foggy, rows))
         left[fog] = json.loads((place / "instances.json").read_text())
         pixels = np.repeat(light[:, :, None], 3, axis=2).astype(np.float32)
         radiance = Image(pixels, ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 70.0})

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from synfog_usd.errors import ParameterError
-from synfog_usd.render import shot
 from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import render
 from synfog_usd.testing import scene, uniform_fog, wall
@@ -57,23 +56,6 @@ def test_a_target_out_of_range_is_refused(wrong, words):
 def test_the_samples_that_are_told_are_those_that_were_asked_for():
     """However many estimators a picture has."""
     assert render(FOGGY, model="path", samples=20).samples == 20
-
-
-def test_choosing_bands_is_a_part_of_the_progress(monkeypatch):
-    """What is tried small before the picture takes the first tenth; the whole never falls and ends at 1."""
-    monkeypatch.setattr(shot, "WORTH_TRYING_BANDS", 0)
-    told = []
-    render(
-        FOGGY,
-        model="path",
-        samples=16,
-        bands=None,
-        size=(16, 8),
-        progress=lambda what, share: told.append((what, share)),
-    )
-    shares = [share for _, share in told]
-    assert max(share for what, share in told if what == "trying bands") <= shot.CHOOSING
-    assert shares == sorted(shares) and shares[-1] == 1.0
 
 
 def test_estimators_that_are_waited_for_together_are_told_of_together():

@@ -11,10 +11,8 @@ from support.stats import assert_mean
 from synfog_usd import photometry
 from synfog_usd.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render.sampling import adaptive
-from synfog_usd.render.shot import load, render
+from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands
-from synfog_usd.render.spectra.choose import choose_bands
 from synfog_usd.testing import box, scene, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
@@ -148,35 +146,6 @@ def test_bands_change_nothing_where_all_is_grey():
             banded.components[part].mean(axis=(0, 1)) / white, pixels.mean(), rtol=2e-3, atol=1e-6
         )
     assert banded.relative_error == pytest.approx(plain.relative_error, rel=0.1)
-
-
-def coloured():
-    """Grey fog on grey, orange light on a blue wall, and haze with an Angstrom exponent."""
-    grey = scene({**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse"})}, [haze(0.0)], fov_x_deg=40.0)
-    blue = wall(5.0, bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(0.1, 0.2, 0.7)}})
-    orange = scene(
-        {"light_sky": {"type": "constant", "radiance": rgb(1.0, 0.45, 0.05)}, "shape_wall": blue},
-        [haze(0.0)],
-        fov_x_deg=40.0,
-    )
-    hazy = scene(
-        {**SKY, "shape_wall": wall(20.0, bsdf={"type": "diffuse", "reflectance": rgb(0.0, 0.0, 0.0)})},
-        [haze(1.3, albedo=0.9)],
-        fov_x_deg=40.0,
-    )
-    return {"grey": grey, "orange": orange, "hazy": hazy}
-
-
-@pytest.mark.parametrize(
-    "name, needed", [("grey", False), ("orange", True), pytest.param("hazy", True, marks=pytest.mark.slow)]
-)
-def test_bands_are_taken_where_r_g_and_b_would_be_wrong(name, needed):
-    """Where all is grey it needs none."""
-    count, why, figures = choose_bands(
-        load(coloured()[name], boundaries=False), "path", target=adaptive.Target(relative=0.01), seed=0
-    )
-    assert (count > 3) == needed
-    assert "%" in why and figures["3"] >= 0.0
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import trimesh
 from cycles_scene import export, simplified
 from support.calls import calls
 
-from synfog_usd.cull import parts_of
 from synfog_usd.render import flatten, surface
 from synfog_usd.render.film import aovs
 from synfog_usd.render.placed import PlacedScene
 from synfog_usd.render.shot import load, render
 from synfog_usd.testing import scene, sky
+from synfog_usd.transmittance import boxes_of
 
 
 def part(mesh, material, **more):
@@ -130,7 +130,7 @@ def test_prototypes_of_several_meshes_are_written_out_place_by_place():
     np.testing.assert_allclose(*normals, atol=1e-4)
 
 
-@pytest.mark.parametrize("work, most", [(flatten.flatten, 40), (lambda source: parts_of(source.world), 22)])
+@pytest.mark.parametrize("work, most", [(flatten.flatten, 40), (lambda source: boxes_of(source.world), 22)])
 def test_a_further_instance_takes_few_calls(work, most):
     """Of a prototype of two meshes; it was 148 to join it and 32 to find its box, which 750 000 instances made 10 s."""
     few, many = pairs(20)[0], pairs(220)[0]

@@ -124,7 +124,7 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
                 f"scenes: 4\nrecipes: [tunnel]\nquality: {{samples: 8, {key}: 1}}",
                 rf"own.yaml:4:23: quality takes no '{key}' any more: word: reference is neither denoised nor regular",
             )
-            for key in ("denoise", "regularize", "time_limit")
+            for key in ("denoise", "regularize", "time_limit", "cull")
         ),
         ("scenes: 4\nrecipes: [tunnel]\nquality: {word: drft}", r"own.yaml:4:17: quality.word: word drft: .*'draft'"),
         (
