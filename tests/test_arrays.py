@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synfog_usd.arrays import at_least, at_most, distinct, extent
+from synfog_usd.base.arrays import at_least, at_most, distinct, extent
 
 
 @pytest.mark.parametrize("shape", [(0,), (1,), (5000,), (70, 3)])

@@ -6,7 +6,7 @@ import colour as colour_science
 import numpy as np
 import pytest
 
-from synfog_usd import colour
+from synfog_usd.base import colour
 
 
 @pytest.mark.parametrize(("kind", "rtol"), [(np.float32, 1e-6), (np.float64, 1e-12)])  # some roundings of each type

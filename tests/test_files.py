@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pxr import Sdf
 
-from synfog_usd.errors import OutputError
-from synfog_usd.files import TEMPORARY_PREFIX, remove_leftovers, write_bytes, write_json, write_whole
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import TEMPORARY_PREFIX, remove_leftovers, write_bytes, write_json, write_whole
 
 
 def test_a_writer_that_fails_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path) -> None:

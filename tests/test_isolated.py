@@ -11,7 +11,7 @@ import pytest
 import typer
 from support.stages import street
 
-from synfog_usd import isolated
+from synfog_usd.base import isolated
 from synfog_usd.cli.main import app
 from synfog_usd.render import backend
 
@@ -223,7 +223,7 @@ def asked(expression, *, place, env=None, begun_with=()):
     """What an isolated child, which runs Python's own module `code`, says of itself; begun by a Python in a folder."""
     code = f"""if True:
         import subprocess, sys
-        from synfog_usd import isolated
+        from synfog_usd.base import isolated
         ask = "import os, sys; print('SAID', {expression}, flush=True)\\n"
         words, env = isolated.command("code"), isolated.environment()
         done = subprocess.run(words, env=env, input=ask, capture_output=True, text=True)
@@ -237,9 +237,9 @@ def asked(expression, *, place, env=None, begun_with=()):
 def test_a_child_runs_the_code_that_its_parent_runs(tmp_path):
     """Another copy of the package, as in a clone: its child is of that copy, though ours may be installed."""
     copy = tmp_path / "clone" / "synfog_usd"
-    copy.mkdir(parents=True)
+    (copy / "base").mkdir(parents=True)
     (copy / "__init__.py").write_text("")
-    shutil.copy(PACKAGE / "isolated.py", copy)
+    shutil.copy(PACKAGE / "base" / "isolated.py", copy / "base")
     where = "__import__('synfog_usd').__file__"
     assert asked(where, place=tmp_path, env=with_us(PYTHONPATH=str(copy.parent))) == str(copy / "__init__.py")
     assert asked(where, place=tmp_path) == str(PACKAGE / "__init__.py")
@@ -333,5 +333,5 @@ def test_one_place_begins_a_python():
         for path in PACKAGE.rglob("*.py")
         if "data" not in path.relative_to(PACKAGE).parts
     }
-    assert found.pop("isolated.py")
+    assert found.pop("base/isolated.py")
     assert not {name: lines for name, lines in found.items() if lines}

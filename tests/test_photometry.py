@@ -6,11 +6,11 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import photometry
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import response
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 RGB = ("R", "G", "B")
 SENSOR = load_sensor("imx363")

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 from support.cli import run
 
-from synfog_usd import camera, resources
-from synfog_usd.errors import GraphError, RecipeError, SetError
-from synfog_usd.sets.definition import load_set
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.errors import GraphError, RecipeError, SetError
+from synfog_usd.dataset.sets.definition import load_set
 from synfog_usd.world.compose import load
 
 KINDS = [("recipe", load, RecipeError), ("data set", load_set, SetError), ("pipeline", camera.load_graph, GraphError)]

@@ -11,7 +11,7 @@ def test_colour_science_comes_without_matplotlib_and_with_its_numbers():
     call gives the same module.
     """
     text = (
-        "import sys\nfrom synfog_usd.science import colour_science\nfound = colour_science()\n"
+        "import sys\nfrom synfog_usd.base.science import colour_science\nfound = colour_science()\n"
         "print('matplotlib' in sys.modules, found is colour_science(), "
         "round(float(found.MSDS_CMFS['CIE 1931 2 Degree Standard Observer'][555.0][1]), 3))"
     )

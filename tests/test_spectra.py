@@ -4,8 +4,8 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import photometry, spectra
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import photometry, spectra
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.world.materials import PAINTS, PALETTE
 
 NM = photometry.WAVELENGTHS_NM

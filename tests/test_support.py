@@ -5,7 +5,7 @@ import pytest
 from support import stats
 from support.memory import at_peak
 
-from synfog_usd import system
+from synfog_usd.base import system
 
 
 @pytest.fixture

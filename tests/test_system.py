@@ -16,9 +16,9 @@ from pathlib import Path, PureWindowsPath
 import pytest
 from support.stages import street
 
-from synfog_usd import fence, system
+from synfog_usd.base import fence, system
+from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.dataset.plan import BakePlan, shots
-from synfog_usd.errors import OutputError, ParameterError
 
 HIDDEN = """
     import errno, fcntl, os, signal, subprocess, sys, threading, types
@@ -75,9 +75,9 @@ def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
     done = child(
         """
         from pathlib import Path
-        from synfog_usd import system
+        from synfog_usd.base import system
         from synfog_usd.cli import check, terminal, worker
-        from synfog_usd.errors import OutputError
+        from synfog_usd.base.errors import OutputError
 
         stage, out = map(Path, sys.argv[1:])
         with worker.reading_limits():
@@ -124,7 +124,7 @@ def test_without_signals_a_thread_ends_what_takes_too_long(what, code):
     """A loop that ends never is ended by its limit of processor or of wall time, and by no other."""
     done = child(
         f"""
-        from synfog_usd import system
+        from synfog_usd.base import system
         with system.limits(**{{"cpu_s": 60.0, "wall_s": 60.0, "{what}": 0.2}}):
             while True:
                 pass
@@ -135,7 +135,10 @@ def test_without_signals_a_thread_ends_what_takes_too_long(what, code):
 
 def test_limits_leave_nothing_behind():
     """A second after the limits are left, the process still lives, with and without signals."""
-    code = "import time; from synfog_usd import system\nwith system.limits(cpu_s=600, wall_s=1): pass\ntime.sleep(1.2)"
+    code = (
+        "import time; from synfog_usd.base import system\n"
+        "with system.limits(cpu_s=600, wall_s=1): pass\ntime.sleep(1.2)"
+    )
     here = subprocess.Popen([sys.executable, "-c", code])
     assert child(code.replace("wall_s=1", "wall_s=0.3")).returncode == 0
     assert here.wait() == 0
@@ -164,7 +167,8 @@ def test_codes_of_windows_are_told_as_causes():
 def test_a_folder_is_held_once(tmp_path):
     """Here and in another process; free again afterwards."""
     code = (
-        "import sys, pathlib; from synfog_usd import system; system.only_writer(pathlib.Path(sys.argv[1])).__enter__()"
+        "import sys, pathlib; from synfog_usd.base import system\n"
+        "system.only_writer(pathlib.Path(sys.argv[1])).__enter__()"
     )
     with system.only_writer(tmp_path):
         with pytest.raises(OutputError, match="another bake"), system.only_writer(tmp_path):
@@ -239,7 +243,7 @@ def test_memory_of_a_picture_is_taken_again_by_the_next():
     code = """
         import resource, sys
         import numpy as np
-        from synfog_usd import system
+        from synfog_usd.base import system
 
         if sys.argv[1] == "kept":
             system.keep_memory()

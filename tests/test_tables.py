@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from synfog_usd import tables
+from synfog_usd.base import tables
 
 
 def test_the_files_hold_what_colour_science_has():
-    """Made again by `python -m synfog_usd.tables`."""
+    """Made again by `python -m synfog_usd.base.tables`."""
     for name, columns in tables.from_colour_science().items():
         kept = tables.table(name)
         assert list(kept) == list(columns)
@@ -25,7 +25,7 @@ def test_metering_needs_no_heavy_library(module):
     """What a run whose nodes are all kept does: load the graph and meter, in a fresh interpreter."""
     code = (
         "import sys; import numpy as np; from pathlib import Path; from synfog_usd import camera; from "
-        "synfog_usd.image import Image, Quantity; "
+        "synfog_usd.base.image import Image, Quantity; "
         "graph = camera.load_graph(Path('phone')); "
         "camera.meter(Image(np.ones((8, 8, 3), np.float32), ('R', 'G', 'B'), Quantity.RADIANCE, "
         "provenance={'fov_x_deg': 60.0}), graph); "

@@ -14,8 +14,8 @@ from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.scene import Instance
-from synfog_usd.testing import scene
-from synfog_usd.transmittance import of_instances
+from synfog_usd.scene.testing import scene
+from synfog_usd.scene.transmittance import of_instances
 
 SIGMA = 0.06
 FOG = FogVolume("/Fog", Boundary("box", np.diag([500.0, 500.0, 100.0, 1.0])), FogMedium(SIGMA))

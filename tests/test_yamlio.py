@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from synfog_usd import camera, yamlio
-from synfog_usd.benchmark import detectors
+from synfog_usd import camera
+from synfog_usd.base import yamlio
+from synfog_usd.base.errors import GraphError, SetError
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.camera.template import sensor_template
-from synfog_usd.errors import GraphError, SetError
-from synfog_usd.sets import definition
+from synfog_usd.dataset.sets import definition
+from synfog_usd.lab.benchmark import detectors
 from synfog_usd.world import compose
 
 ON, OFF = ("true", "True", "on", "On", "yes", "YES"), ("false", "FALSE", "off", "Off", "no", "No")

@@ -21,8 +21,8 @@ from assets.builders.roadside import build_roadside
 from assets.builders.textures import write_textures
 from assets.builders.trucks import build_trucks
 from assets.builders.wayfarers import build_wayfarers
-from synfog_usd.errors import SynfogError
-from synfog_usd.files import write_bytes
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.files import write_bytes
 from synfog_usd.world.components import Component, write_component
 from synfog_usd.world.lod import bare, with_low
 

@@ -21,8 +21,8 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 
 from assets.builders.crossing import FOG_VARIANTS
 from assets.builders.vehicles import HEADLIGHT_CD, HEADLIGHT_TINT
-from synfog_usd.errors import OutputError
-from synfog_usd.files import write_whole
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import write_whole
 from synfog_usd.world.authoring import author_fog_variants
 from synfog_usd.world.components import MountedLamp, author_lamp, author_material, author_mesh, label, new_stage
 from synfog_usd.world.materials import Colour, Material

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from assets.builders.textures import ATLAS, FASCIA_COLUMNS, FASCIA_ROWS, SHOPS
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.components import Component, Look
 from synfog_usd.world.shapes import Array, Part, box, join, lathe, quad, quads, shift, strip, tube, turn
 

@@ -1,7 +1,7 @@
 """Fog chambers as stages: a closed room with a colour chart, a lamp, a camera, a laser and a power meter.
 
 `write(folder)` writes the shipped ones as text; the same code gives the same bytes.  A chamber is one `Chamber`; what
-`synfog-usd study chamber` asks of a stage stands in `synfog_usd.study.chamber`.
+`synfog-usd study chamber` asks of a stage stands in `synfog_usd.lab.study.chamber`.
 From a shell: `python -m assets.builders.chambers [folder]`.
 """
 
@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
-from synfog_usd.files import write_whole
-from synfog_usd.science import colour_science
+from synfog_usd.base.files import write_whole
+from synfog_usd.base.science import colour_science
 from synfog_usd.world.authoring import author_fog_variants
 from synfog_usd.world.components import author_mesh, label, new_stage
 from synfog_usd.world.shapes import Part, box, quad

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft, ndimage
 
-from synfog_usd.arrays import FloatArray
-from synfog_usd.seeds import stream
+from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.seeds import stream
 
 EARTH_M = 6_371_000.0
 CELLS, LEVELS = 768, 28  # of the layer's box, sideways and upwards

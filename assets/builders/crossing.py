@@ -17,8 +17,8 @@ from assets.builders.furniture import build_furniture
 from assets.builders.people import build_bicycle, build_people, build_rider
 from assets.builders.plants import build_hedge, build_leaf, build_trees
 from assets.builders.vehicles import CARS, build_bus, build_cars, build_lorry
-from synfog_usd.files import write_whole
-from synfog_usd.seeds import stream
+from synfog_usd.base.files import write_whole
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.roads.crossing import TREE_X, Crossing

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import LANE_TEXTURE_LENGTH_M
 from synfog_usd.world.roads.crossing import (

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
-from synfog_usd.science import colour_science
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.science import colour_science
 
 LUMINANCE: Array = np.array([0.2126390058715104, 0.7151686787677559, 0.0721923153607337])  # of linear Rec.709
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from assets.builders.noise import noise
-from synfog_usd.arrays import Array
-from synfog_usd.seeds import stream
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.seeds import stream
 
 
 def asphalt_lane() -> tuple[Array, Array]:

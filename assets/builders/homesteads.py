@@ -12,7 +12,7 @@ import numpy as np
 
 from assets.builders.buildings import House, bar, cell_uv, flat, front_of, house_parts, place_corners, roof_of
 from assets.builders.textures import ATLAS
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.lettering import letters
 from synfog_usd.world.shapes import Part, box, lathe, quad, quads, shift, soft_box, strip, turn

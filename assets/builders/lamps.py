@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
-from synfog_usd.files import write_bytes
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.files import write_bytes
 from synfog_usd.world.lamps import STREET, lamp_of
 
 Beam = Callable[[Array, Array], Array]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.seeds import stream
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.seeds import stream
 
 
 def noise(

@@ -26,11 +26,11 @@ from scipy import ndimage, optimize
 from assets.builders.clouds import CELLS, CloudLayer, CloudLight, clouded
 from assets.builders.daylight import LUMINANCE, colour_temperature, illuminance_per_zenith, relative_luminance, tint
 from assets.builders.textures import ORIGIN, noise
-from synfog_usd.arrays import Array
-from synfog_usd.colour import srgb_encode
-from synfog_usd.errors import OutputError, ParameterError, did_you_mean
-from synfog_usd.files import write_whole
-from synfog_usd.science import colour_science
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import srgb_encode
+from synfog_usd.base.errors import OutputError, ParameterError, did_you_mean
+from synfog_usd.base.files import write_whole
+from synfog_usd.base.science import colour_science
 
 SIZE = (512, 1024)
 

@@ -16,11 +16,11 @@ import OpenImageIO
 
 from assets.builders.ground import asphalt, asphalt_lane, chip_seal, marking, paving
 from assets.builders.noise import noise as noise
-from synfog_usd.arrays import Array
-from synfog_usd.colour import srgb_encode
-from synfog_usd.errors import OutputError
-from synfog_usd.files import write_whole
-from synfog_usd.seeds import stream
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import srgb_encode
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import write_whole
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.lettering import GLYPHS
 
 ORIGIN = "made by synfog_usd.world, licence CC0-1.0"

@@ -14,17 +14,17 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.base import photometry
+from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.distortion import Pinhole
+from synfog_usd.camera.graph import Auto, FromProfile, Range
 from synfog_usd.camera.optics import FOV, field_angles_rad
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 TILES, LEAST_TILE_PX, MOST_TILE_PX = 16, 16, 128
 """Places along the longer side whose spots are computed, and their distance; the four nearest are mixed between."""

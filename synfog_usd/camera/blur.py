@@ -14,14 +14,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from synfog_usd import photometry
-from synfog_usd.arrays import Array, FloatArray, Indices
+from synfog_usd.base import photometry
+from synfog_usd.base.arrays import Array, FloatArray, Indices
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import response, spread
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 DISC_MAX_PX = 2048.0
 """Widest disc of a lens out of focus."""

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.base.arrays import Array, FloatArray
 
 Pattern = Literal["RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO"]
 

@@ -10,15 +10,15 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray, planar
+from synfog_usd.base.arrays import FloatArray, planar
+from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image
 from synfog_usd.camera import cfa
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.isp import DISPLAY, PICTURE, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.colour import LUMINANCE
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import Image
 
 RING = tuple((row, column) for row in (-2, 0, 2) for column in (-2, 0, 2) if row or column)
 """Where the eight next pixels of the same filter are, in every pattern."""

@@ -12,16 +12,16 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray, planar, strips
+from synfog_usd.base.arrays import FloatArray, planar, strips
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image
+from synfog_usd.base.science import colour_science
 from synfog_usd.camera import cfa
+from synfog_usd.camera.graph import FromProfile
+from synfog_usd.camera.graph.buffers import checked, pixels_of, to_buf
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile
-from synfog_usd.graph.buffers import checked, pixels_of, to_buf
-from synfog_usd.image import Image
-from synfog_usd.science import colour_science
 
 STRIP_ROWS = 48
 """Rows that are worked on at a time, so that they stay in the processor's cache; even, so that each strip begins with

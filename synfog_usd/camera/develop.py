@@ -7,23 +7,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import graph as engine
-from synfog_usd import resources
+from synfog_usd.base import resources
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.seeds import seed32
 from synfog_usd.camera import aberrations as aberration  # noqa: F401
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor, specimen  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera import fisheye as fisheyes
 from synfog_usd.camera import focus as focused  # noqa: F401
 from synfog_usd.camera import ghosts as ghost  # noqa: F401
+from synfog_usd.camera import graph as engine
 from synfog_usd.camera import wavefront as wavefronts  # noqa: F401
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401
 from synfog_usd.camera.exposure import Exposure, meter
+from synfog_usd.camera.graph import Cache, GraphRun, NodeGraph, Registry
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Cache, GraphRun, NodeGraph, Registry
-from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent
-from synfog_usd.seeds import seed32
 
 
 def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:

@@ -17,13 +17,13 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Auto, FromProfile, Node, NodeGraph, Range
 from synfog_usd.camera.optics import FOV
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.graph import Auto, FromProfile, Node, NodeGraph, Range
-from synfog_usd.image import Image, Quantity
 
 Indices = npt.NDArray[np.intp]
 

@@ -16,13 +16,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd import photometry
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import GraphError, ParameterError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
 from synfog_usd.camera.flare import block_means
+from synfog_usd.camera.graph import GraphRun, Node, NodeGraph
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.errors import GraphError, ParameterError
-from synfog_usd.graph import GraphRun, Node, NodeGraph
-from synfog_usd.image import Image, Quantity
 
 DAY_KEY = 0.12
 """Where the frame's geometric mean goes by day [part of saturation].  Below the

@@ -10,12 +10,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.fisheye import Fisheye
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import FromProfile, NodeGraph, Range
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.fisheye import Fisheye
-from synfog_usd.graph import FromProfile, NodeGraph, Range
-from synfog_usd.image import Image, Quantity
 
 OP = "optics.fisheye"
 

@@ -14,14 +14,14 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd import photometry
-from synfog_usd.arrays import STRIP_ROWS, FloatArray, planar, strips
+from synfog_usd.base import photometry
+from synfog_usd.base.arrays import STRIP_ROWS, FloatArray, planar, strips
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur, spread
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 THREADS = 2
 

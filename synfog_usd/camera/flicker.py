@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Auto, Range
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, Range
-from synfog_usd.image import Image, Quantity
 
 
 @OPS.op("light.flicker", takes=Quantity.RADIANCE, gives=Quantity.RADIANCE)

@@ -11,13 +11,13 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import spread
 from synfog_usd.camera.blur import DISC_MAX_PX, blur_disc_um
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 DEPTHS = ("depth.Z", "Z")
 """What a channel of depth is called: by a bake, and by OpenEXR's manual."""

@@ -12,14 +12,14 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import spread
 from synfog_usd.camera.flare import aperture, enlarged
+from synfog_usd.camera.graph import Auto, FromProfile, Range
 from synfog_usd.camera.paraxial import Drawing, Ghost
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 COATED = 0.0045
 """Share of the light that a face with a coating of several layers reflects: an estimate, 0.2 to 0.5 % are usual."""

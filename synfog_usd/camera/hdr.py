@@ -11,11 +11,11 @@ from typing import Annotated
 
 import numpy as np
 
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image
+from synfog_usd.camera.graph import Range
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.sensor import NUMBERS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Range
-from synfog_usd.image import Image
 
 MAX_BITS = 24
 """float32 holds whole numbers of so many bits exactly."""

@@ -14,17 +14,17 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import STRIP_ROWS, Array, FloatArray, at_least, at_most, planar, strips
+from synfog_usd.base.arrays import STRIP_ROWS, Array, FloatArray, at_least, at_most, planar, strips
+from synfog_usd.base.colour import LUMINANCE, srgb_decode, srgb_encode
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.fisheye import of_picture
+from synfog_usd.camera.graph import Auto, FromProfile, Port, Range
 from synfog_usd.camera.optics import FOV, falloff_map
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.colour import LUMINANCE, srgb_decode, srgb_encode
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.image import Image, Quantity
 
 NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")

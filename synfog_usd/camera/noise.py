@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray, at_least
+from synfog_usd.base.arrays import FloatArray, at_least
 
 CHUNK = 1 << 14
 """Numbers that are drawn at a time; the numbers depend on it."""

@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray, planar, strips
+from synfog_usd.base.arrays import FloatArray, planar, strips
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.fisheye import Fisheye
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.fisheye import angles_rad, of_picture
+from synfog_usd.camera.graph import Auto, FromProfile, Range
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.fisheye import Fisheye
-from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
 """A field of view that the image says, or the run."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 
 
 class Ghost(NamedTuple):

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from synfog_usd import resources, tables
+from synfog_usd.base import resources, tables
+from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.base.fisheye import Fisheye
+from synfog_usd.base.yamlio import Located, load_file
 from synfog_usd.camera import cfa
+from synfog_usd.camera.graph.faults import Faults
 from synfog_usd.camera.paraxial import Drawing
-from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.fisheye import Fisheye
-from synfog_usd.graph.faults import Faults
-from synfog_usd.yamlio import Located, load_file
 
 CAMERAS_MEASURED = tuple(tables.CAMERAS)
 """Spectral sensitivities that colour-science ships in `MSDS_CAMERA_SENSITIVITIES`."""

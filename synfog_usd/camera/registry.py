@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from synfog_usd.camera import profiles
-from synfog_usd.graph import Registry
-from synfog_usd.graph.op import Profile
+from synfog_usd.camera.graph import Registry
+from synfog_usd.camera.graph.op import Profile
 
 OPS = Registry()
 """Read-only once `synfog_usd.camera` is imported; `Registry(OPS)` starts an own one."""

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd import photometry, tables
-from synfog_usd.arrays import Array
+from synfog_usd.base import photometry, tables
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.constants import LIGHT_SPEED_M_S, PLANCK_J_S
+from synfog_usd.base.errors import ImageError, ParameterError
+from synfog_usd.base.science import colour_science
 from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import Curve, SensorProfile
-from synfog_usd.constants import LIGHT_SPEED_M_S, PLANCK_J_S
-from synfog_usd.errors import ImageError, ParameterError
-from synfog_usd.science import colour_science
 
 
 @functools.lru_cache(maxsize=16)

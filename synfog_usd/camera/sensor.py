@@ -15,14 +15,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from synfog_usd import photometry, seeds
-from synfog_usd.arrays import STRIP_ROWS, FloatArray, at_least, at_most, strips
+from synfog_usd.base import photometry, seeds
+from synfog_usd.base.arrays import STRIP_ROWS, FloatArray, at_least, at_most, strips
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import PARALLEL_DEG, Image, Quantity
 from synfog_usd.camera import cfa, noise, response
+from synfog_usd.camera.graph import Auto, FromProfile, Port, Range
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Port, Range
-from synfog_usd.image import PARALLEL_DEG, Image, Quantity
 
 MEAN, COUNTED, READ_OUT = "mean", "with shot noise", "with read noise"
 """Stages of electrons: what light and heat free on average, what came in one exposure, and what the pixel's amplifier

@@ -11,7 +11,10 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd.arrays import FloatArray
+from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.sensor import (
     AMPLIFIED,
@@ -22,9 +25,6 @@ from synfog_usd.camera.sensor import (
     pattern_of,
     row_times,
 )
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import FromProfile, Range
-from synfog_usd.image import Image
 
 PPM = 1e-6
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray, at_least, at_most, planar, strips
+from synfog_usd.base.arrays import Array, FloatArray, at_least, at_most, planar, strips
 
 THREADS = 2
 

@@ -13,17 +13,17 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd import photometry
-from synfog_usd.arrays import Array
+from synfog_usd.base import photometry
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.aberrations import Field, Numbers, filled, spread_by_place, table_fault
 from synfog_usd.camera.blur import spectral_weights
+from synfog_usd.camera.graph import Auto, FromProfile, Range
 from synfog_usd.camera.optics import FOV
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 from synfog_usd.camera.spread import THREADS
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import Auto, FromProfile, Range
-from synfog_usd.image import Image, Quantity
 
 LEAST_PX, MOST_PX = 64, 256
 """Side of the square in which a spot is computed; what lies outside is folded into it."""

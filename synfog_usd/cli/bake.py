@@ -71,7 +71,7 @@ def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> N
 
 
 def _tidy(out: Path, code: int, stage: Path, *, frames: bool) -> None:
-    from synfog_usd import files
+    from synfog_usd.base import files
 
     kinds, finished = "shots", 0
     with contextlib.suppress(OSError, ValueError, KeyError):

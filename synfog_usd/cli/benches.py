@@ -13,15 +13,15 @@ from typing import TypeVar
 
 import typer
 
-from synfog_usd.benchmark import defog as bench_of
-from synfog_usd.benchmark import detect as detection
-from synfog_usd.benchmark import detect_page, detectors, metrics, page
-from synfog_usd.benchmark.bench import Bench
-from synfog_usd.benchmark.bench import picture as picture_of
-from synfog_usd.benchmark.methods import chosen
-from synfog_usd.benchmark.pairs import find, truth_of
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
+from synfog_usd.lab.benchmark import defog as bench_of
+from synfog_usd.lab.benchmark import detect as detection
+from synfog_usd.lab.benchmark import detect_page, detectors, metrics, page
+from synfog_usd.lab.benchmark.bench import Bench
+from synfog_usd.lab.benchmark.bench import picture as picture_of
+from synfog_usd.lab.benchmark.methods import chosen
+from synfog_usd.lab.benchmark.pairs import find, truth_of
 
 Item = TypeVar("Item")
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.cli.progress import shown
 
 if TYPE_CHECKING:
-    from synfog_usd.study.chart import Chart
+    from synfog_usd.lab.study.chart import Chart
 
 
 def run(plan: dict[str, Any], *, quiet: bool) -> None:
     """Sweep as the command line asked for, print the table, and say where the drawings are."""
-    from synfog_usd.study import chart as study
-    from synfog_usd.study import page
+    from synfog_usd.lab.study import chart as study
+    from synfog_usd.lab.study import page
 
     made = study.ChartPlan(**plan)
     if made.stage.is_dir():

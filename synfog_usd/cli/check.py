@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
+from synfog_usd.base.errors import StageError
 from synfog_usd.dataset.plan import AS_AUTHORED
-from synfog_usd.errors import StageError
 from synfog_usd.stage import mend, rulebook, rules
 from synfog_usd.translate import Exchange, outdoors, why_black
 from synfog_usd.translate.coincident import Overlap, coincident

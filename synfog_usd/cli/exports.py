@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.cli.progress import shown
-from synfog_usd.errors import ParameterError
-from synfog_usd.exports import run, taxonomy
-from synfog_usd.exports.record import Boxed, exporter
+from synfog_usd.dataset.exports import run, taxonomy
+from synfog_usd.dataset.exports.record import Boxed, exporter
 
 DROPS = {"none": (), "invisible": ("invisible",), "faint": ("invisible", "faint")}
 
@@ -38,7 +38,7 @@ def export(
 
 def gallery(out: Path, to: Path | None, *, quiet: bool) -> None:
     """Write pages that show a set."""
-    from synfog_usd.exports.gallery import build
+    from synfog_usd.dataset.exports.gallery import build
 
     target = to or out.resolve().with_name(f"{out.resolve().name}-gallery")
     with shown(quiet) as (progress, _):
@@ -49,7 +49,7 @@ def gallery(out: Path, to: Path | None, *, quiet: bool) -> None:
 
 def stats(out: Path, to: Path | None, *, quiet: bool, as_json: bool) -> None:
     """Write one page of figures."""
-    from synfog_usd.exports import stats as figures
+    from synfog_usd.dataset.exports import stats as figures
 
     target = to or out.resolve().with_name(f"{out.resolve().name}-stats.html")
     with shown(quiet) as (progress, _):

@@ -11,16 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from synfog_usd import camera, files, resources, writers
-from synfog_usd.camera import template
+from synfog_usd import camera
+from synfog_usd.base import files, resources
+from synfog_usd.base.errors import GraphError, OutputError, ParameterError, did_you_mean
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import template, writers
+from synfog_usd.camera.graph import Cache, NodeGraph, drawing, reference
+from synfog_usd.camera.graph.cache import default_folder
+from synfog_usd.camera.graph.op import Port
+from synfog_usd.camera.graph.schema import schema
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
 from synfog_usd.cli.worker import unheard
-from synfog_usd.errors import GraphError, OutputError, ParameterError, did_you_mean
-from synfog_usd.graph import Cache, NodeGraph, drawing, reference
-from synfog_usd.graph.cache import default_folder
-from synfog_usd.graph.op import Port
-from synfog_usd.graph.schema import schema
-from synfog_usd.image import Image, Quantity
 
 DEPTH = "depth"
 """Input, of data, that a bake's labels or the picture's own file can fill."""

@@ -10,9 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from synfog_usd import __version__, isolated, numbers
+from synfog_usd import __version__
+from synfog_usd.base import isolated, numbers
+from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.cli import benchmark, dataset, options, study, train, worker
-from synfog_usd.errors import ParameterError, SynfogError
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
@@ -375,7 +376,7 @@ def chart(
     if out is None:
         raise ParameterError("chart: needs --out FOLDER")
     if stage is None:
-        from synfog_usd.resources import folder
+        from synfog_usd.base.resources import folder
 
         stage = folder("stages") / "bench"
     plan = dict(
@@ -568,8 +569,8 @@ def selftest(
     """Measure known answers with every model on this machine; exit code 1 if one is missed."""
     import time
 
+    from synfog_usd.lab.study import selftest as study
     from synfog_usd.render import backend
-    from synfog_usd.study import selftest as study
 
     chosen = backend.start(options.device(variant, gpu)).variant  # type: ignore[arg-type]
     print(f"backend: {chosen}", file=sys.stderr if as_json else sys.stdout, flush=True)
@@ -715,7 +716,7 @@ def asset_import(
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
-    from synfog_usd.fence import LAYERS
+    from synfog_usd.base.fence import LAYERS
     from synfog_usd.stage import open_stage
     from synfog_usd.world.importer import import_asset
 

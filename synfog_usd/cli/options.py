@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from synfog_usd import numbers
-from synfog_usd.errors import ParameterError, SynfogError
+from synfog_usd.base import numbers
+from synfog_usd.base.errors import ParameterError, SynfogError
 
 
 def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:

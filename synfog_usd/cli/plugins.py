@@ -9,9 +9,9 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import resources
-from synfog_usd.errors import OutputError
-from synfog_usd.files import write_whole
+from synfog_usd.base import resources
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import write_whole
 
 SCHEMA = resources.schema_plugin()
 """Folder with the codeless USD schema SynFogMediumAPI."""
@@ -84,8 +84,8 @@ def camera_presets() -> dict[str, dict[str, Any]]:
         name -> 'title', 'about', 'sensor_width_mm', 'sensor_height_mm', 'focal_length_mm', 'f_number', 'width_px',
             'height_px'.
     """
+    from synfog_usd.base.yamlio import load_file
     from synfog_usd.camera.profiles import load_lens, load_sensor, shipped
-    from synfog_usd.yamlio import load_file
 
     graphs = [load_file(path).value for path in sorted(resources.folder("pipeline").glob("*.yaml"))]
     lens_of = {graph["sensor"].value: graph["lens"].value for graph in graphs if {"sensor", "lens"} <= graph.keys()}

@@ -12,13 +12,13 @@ from typing import Any
 
 import typer
 
-from synfog_usd import resources
+from synfog_usd.base import resources
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.fence import LAYERS
 from synfog_usd.cli import terminal, worker
 from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.errors import SynfogError
-from synfog_usd.fence import LAYERS
 
 LOOK_EVERY_S = 0.5
 """Between two looks at the files; a save is taken up once nothing has changed from one look to the next."""
@@ -81,7 +81,7 @@ def _once(plan: BakePlan, how: terminal.Kind, quiet: bool) -> None:
 
 def _waited_for(plan: BakePlan, watch: bool) -> int:
     """In the parent: the child's exit code; where a file kills the child, another begins at the next save."""
-    from synfog_usd import files
+    from synfog_usd.base import files
 
     while True:
         before = _state(_beside(plan.stage)) if watch else {}

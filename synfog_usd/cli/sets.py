@@ -14,17 +14,17 @@ import typer
 
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
-from synfog_usd.sets import journal, offers
-from synfog_usd.sets.definition import load_set
-from synfog_usd.sets.layout import Unit
-from synfog_usd.sets.run import Outcome, RunPlan, numbers_of
-from synfog_usd.sets.run import run as make
-from synfog_usd.sets.work import Child, told
+from synfog_usd.dataset.sets import journal, offers
+from synfog_usd.dataset.sets.definition import load_set
+from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.dataset.sets.run import Outcome, RunPlan, numbers_of
+from synfog_usd.dataset.sets.run import run as make
+from synfog_usd.dataset.sets.work import Child, told
 
 if TYPE_CHECKING:
-    from synfog_usd.sets.cost import Count
-    from synfog_usd.sets.definition import SetDefinition
-    from synfog_usd.sets.status import Status
+    from synfog_usd.dataset.sets.cost import Count
+    from synfog_usd.dataset.sets.definition import SetDefinition
+    from synfog_usd.dataset.sets.status import Status
 
 WATCH_S = 2.0
 CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), worker.MARK)
@@ -32,7 +32,7 @@ CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), worker.MARK)
 
 def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:
     """Print what a set holds, at once, and then what it takes, which small units have to tell."""
-    from synfog_usd.sets import cost
+    from synfog_usd.dataset.sets import cost
 
     found = offers.known(load_set(file), _offers)
     counted, expected = cost.count(found), None
@@ -124,7 +124,7 @@ def _report(outcome: Outcome, out: Path, *, quiet: bool, as_json: bool) -> None:
 
 def status(out: Path, *, watch: bool, as_json: bool) -> None:
     """Print how far a set is; under `watch` again whenever it is further."""
-    from synfog_usd.sets.status import status as look
+    from synfog_usd.dataset.sets.status import status as look
 
     shown_last = None
     while True:
@@ -159,7 +159,7 @@ def verify(out: Path, *, quiet: bool, as_json: bool) -> None:
             print(f"synfog-usd: {out}: the process that read it died of signal {-code}", file=sys.stderr)
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
-    from synfog_usd.sets.verify import verify as look
+    from synfog_usd.dataset.sets.verify import verify as look
 
     with shown(quiet) as (progress, log):
         found = []
@@ -183,9 +183,9 @@ def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, va
         code = worker.run(sys.argv[1:])
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
+    from synfog_usd.dataset.sets import identity
+    from synfog_usd.dataset.sets.unit import make as make_unit
     from synfog_usd.render import backend
-    from synfog_usd.sets import identity
-    from synfog_usd.sets.unit import make as make_unit
 
     def made() -> tuple[dict[str, Any], bool]:
         found = journal.kept_definition(out)

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from synfog_usd.base.errors import OutputError, ParameterError, did_you_mean
 from synfog_usd.cli import options, worker
-from synfog_usd.errors import OutputError, ParameterError, did_you_mean
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="What sets and bakes show of fog and its models.")
 
@@ -44,8 +44,8 @@ def asm(
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
-    from synfog_usd.sets.definition import shipped
-    from synfog_usd.study import scattering_model
+    from synfog_usd.dataset.sets.definition import shipped
+    from synfog_usd.lab.study import scattering_model
 
     if source.suffix == ".yaml" or (str(source) in shipped() and not source.exists()):
         from synfog_usd.cli import sets
@@ -77,7 +77,7 @@ def noise(
     """Measure noise against fog: of RAW, of developed pictures, and after defogging."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
-    from synfog_usd.study import noise as measured
+    from synfog_usd.lab.study import noise as measured
 
     names = [name.strip() for name in cameras.split(",") if name.strip()]
     with shown(quiet) as (progress, _):
@@ -104,7 +104,7 @@ def chamber(
     """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
     _can_hold(out)
     if stage is None:
-        from synfog_usd.resources import folder
+        from synfog_usd.base.resources import folder
 
         stage = folder("stages") / "chamber.usda"
     if not worker.is_worker():
@@ -114,8 +114,8 @@ def chamber(
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
     from synfog_usd.cli.progress import shown
-    from synfog_usd.study import chamber as room
-    from synfog_usd.study import chamber_page
+    from synfog_usd.lab.study import chamber as room
+    from synfog_usd.lab.study import chamber_page
 
     with shown(quiet) as (progress, _):
         found = room.study(stage, error=error, laser_error=laser_error, progress=progress)
@@ -143,7 +143,7 @@ def sources(
     """Train on four kinds of fog and on RAW, and test each: what noise, multiple scattering and RAW are worth."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
-    from synfog_usd.study import sources as work
+    from synfog_usd.lab.study import sources as work
 
     with shown(quiet) as (progress, _):
         found = work.study(source, out, seeds_count=seeds, folds=folds, steps=steps, also=also, progress=progress)

@@ -43,8 +43,8 @@ def defog(
 ) -> None:
     """Train a network of 0.15 million weights to see through fog, for `benchmark defog --methods OUT/methods.yaml`."""
     from synfog_usd.cli.progress import shown
-    from synfog_usd.study import networks
-    from synfog_usd.study import training as work
+    from synfog_usd.lab.study import networks
+    from synfog_usd.lab.study import training as work
 
     networks.torch_library()
     raw = taken is Taken.raw
@@ -82,7 +82,7 @@ def detect(
 ) -> None:
     """Train a network of 0.9 million weights to find things, for `benchmark detect --model OUT/detectors.yaml`."""
     from synfog_usd.cli.progress import shown
-    from synfog_usd.study import finder, networks
+    from synfog_usd.lab.study import finder, networks
 
     networks.torch_library()
     names = tuple(dict.fromkeys(name.strip() for name in classes.split(",") if name.strip()))

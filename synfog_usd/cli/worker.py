@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from synfog_usd import isolated, system
+from synfog_usd.base import isolated, system
 
 MARK = "SYNFOG_USD_WORKER"
 INTERRUPTED = 130

@@ -12,9 +12,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import numbers
+from synfog_usd.base import numbers
+from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.errors import ParameterError, did_you_mean
 
 if TYPE_CHECKING:
     from synfog_usd.fog import Fog

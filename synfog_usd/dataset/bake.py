@@ -15,16 +15,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import files, system
+from synfog_usd.base import files, system
+from synfog_usd.base.errors import StageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.seeds import seed32
 from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibility
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.scenes import cleared, pinhole_of, size_of
 from synfog_usd.dataset.session import METER_WIDTH_PX, Renderer, Session, begin, one_camera
-from synfog_usd.errors import StageError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent, within
-from synfog_usd.seeds import seed32
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered, Settings
     from synfog_usd.scene import Note, SceneDict
-    from synfog_usd.transmittance import PartBoxes
+    from synfog_usd.scene.transmittance import PartBoxes
 
 OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
 """Files of a shot beside what its graph makes."""
@@ -291,9 +291,11 @@ def meter_view(
     ready: Callable[[], None],
 ) -> _View:
     """Scenes without fog, the camera's own first, metered on small frames; the graph runs after `ready`."""
-    from synfog_usd import camera, photometry, transmittance
+    from synfog_usd import camera
+    from synfog_usd.base import photometry
     from synfog_usd.render import models
     from synfog_usd.render.film import aovs
+    from synfog_usd.scene import transmittance
 
     graph = session.graph
     frame, *beside = [session.frame(lighting, one, scene) for one, scene in clear.items()]
@@ -396,8 +398,8 @@ def sample_shot(
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
     makes its pictures.
     """
-    from synfog_usd import transmittance
     from synfog_usd.render.shot import sample
+    from synfog_usd.scene import transmittance
 
     density = _density(scene, taken)
     floor = _shared(view.noise, density) if view and view.noise else None
@@ -488,7 +490,8 @@ def inputs_of(graph: Any, rendered: Rendered, radiance: Image, exposures: Mappin
 
 def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
-    from synfog_usd import camera, writers
+    from synfog_usd import camera
+    from synfog_usd.camera import writers
 
     shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
     folder = plan.out / shot.folder
@@ -582,7 +585,8 @@ def _metered_on(plan: BakePlan) -> dict[str, str]:
 
 def _left(made: ShotMade, graph: Any) -> dict[int, dict[str, Any]]:
     """What the fog leaves of each instance that is seen, by label id."""
-    from synfog_usd import camera, photometry
+    from synfog_usd import camera
+    from synfog_usd.base import photometry
 
     radiance, seen, noise = made.rendered.radiance, made.rendered.aovs, made.noise
     luminance = photometry.luminance(radiance)
@@ -659,8 +663,7 @@ def _write_labels(
 
     `pierced` tells what stands behind, see `aovs.pierced`; `loaded`, what the right eye of a rig sees of it.
     """
-    from synfog_usd import writers
-    from synfog_usd.camera import distortion
+    from synfog_usd.camera import distortion, writers
 
     metadata: dict[str, Any] = {}
     nearest = None

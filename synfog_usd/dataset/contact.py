@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import files
+from synfog_usd.base import files
 from synfog_usd.dataset.plan import Shot
 
 NAME = "contact.png"

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.asked import names, number, plan_of
 from synfog_usd.dataset.plan import BakePlan, frame_codes
-from synfog_usd.errors import ParameterError
-from synfog_usd.progress import Progress, silent
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.asked import FogLike

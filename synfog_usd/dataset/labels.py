@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import find_objects
 
-from synfog_usd import cityscapes
-from synfog_usd.arrays import distinct
+from synfog_usd.base import cityscapes
+from synfog_usd.base.arrays import distinct
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.dataset import stereo, visibility
-from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Instance, SceneDict
 

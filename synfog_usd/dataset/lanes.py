@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.dataset import masks
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.render.film.aovs import Aovs

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Flags, Indices
+from synfog_usd.base.arrays import Flags, Indices
 
 _DIGITS = 8
 """Groups of five bits that a run can need: 40 bits."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices, extent
+from synfog_usd.base.arrays import Array, Indices, extent
 from synfog_usd.dataset import masks
 from synfog_usd.dataset.labels import told
 from synfog_usd.scene import Camera, SceneDict, prototype_of

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from synfog_usd import numbers
-from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.base import numbers
+from synfog_usd.base.errors import ParameterError, did_you_mean
 
 if TYPE_CHECKING:
     from synfog_usd.fog import Fog
@@ -172,7 +172,7 @@ class BakePlan:
 
 def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:
     """Seed of a shot's temporal noise; one for all fogs of a lighting where they are to have the same."""
-    from synfog_usd.seeds import seed32  # numpy, which a plan that is refused at once does without
+    from synfog_usd.base.seeds import seed32  # numpy, which a plan that is refused at once does without
 
     return seed32(seed, lighting, CLEAR if same_noise else fog)
 

@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from synfog_usd import files, system
+from synfog_usd.base import files, system
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import MANIFEST
 from synfog_usd.dataset.plan import BakePlan, shots
 from synfog_usd.dataset.session import Reading, begin
-from synfog_usd.errors import OutputError, ParameterError
-from synfog_usd.progress import Progress, silent, within
 
 RIG = "rig.json"
 

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from synfog_usd.base.errors import ImageError, StageError
 from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot
-from synfog_usd.errors import ImageError, StageError
 
 if TYPE_CHECKING:
+    from synfog_usd.base.fisheye import Fisheye
     from synfog_usd.camera.distortion import Pinhole
-    from synfog_usd.fisheye import Fisheye
     from synfog_usd.scene import Camera, Note, SceneDict
 
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import files, system
+from synfog_usd.base import files, system
+from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.seeds import frame_seed
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
-from synfog_usd.progress import Progress, silent, within
-from synfog_usd.seeds import frame_seed
 
 SEQUENCE = "sequence.json"
 
@@ -121,7 +121,7 @@ def _gather(
     out: Path, rows: Sequence[Mapping[str, Any]], first: Mapping[str, Any], per_s: float, log: Callable[[str], None]
 ) -> list[str]:
     """RAW files as links under CinemaDNG's names, NAME_000000.dng in a folder of their own, and videos: where."""
-    from synfog_usd.writers import video
+    from synfog_usd.camera.writers import video
 
     clips: list[str] = []
     problem = video.available()

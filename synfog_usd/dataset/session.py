@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from synfog_usd.base.errors import GraphError, StageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.numbers import RGB
+from synfog_usd.base.seeds import frame_seed, seed32
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.scenes import Scenes
-from synfog_usd.errors import GraphError, StageError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.numbers import RGB
-from synfog_usd.seeds import frame_seed, seed32
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene

@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from synfog_usd import files, resources
+from synfog_usd.base import files, resources
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.errors import ParameterError
-from synfog_usd.progress import Progress, silent
 from synfog_usd.world.compose import compose
 
 GAP_PX, CAPTION_PX = 4, 16

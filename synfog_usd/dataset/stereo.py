@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.scene import Camera, SceneDict
 
 if TYPE_CHECKING:

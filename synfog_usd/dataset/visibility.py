@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Flags, Indices
+from synfog_usd.base.arrays import Array, Flags, Indices
 
 WMO_CONTRAST = 0.05
 """Contrast that an observer needs to tell a thing.  Source: WMO-No. 8 (2018), volume I, chapter 9, 9.1.1."""

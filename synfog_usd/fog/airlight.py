@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 
 PATCH_PX = 15
 """Side of the square over which the dark channel is the minimum; He, Sun and Tang's."""

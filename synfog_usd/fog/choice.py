@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from synfog_usd import numbers
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import numbers
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.medium import WMO_CONTRAST, FogMedium, extinction_from_visibility
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
 
 MAX_VOXELS = 1 << 26
 """400^3, or 256 MiB."""

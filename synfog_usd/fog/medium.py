@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.phase import HenyeyGreenstein, Phase
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
 
 DROPLETS_UM = (5.0, 50.0)
 """Open range of diameters [um] that the fit of Jendersie and d'Eon is for."""

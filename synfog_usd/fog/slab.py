@@ -27,8 +27,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, FloatArray
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.medium import FogMedium
 
 MIN_STREAMS, MAX_STREAMS = 4, 512

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.medium import FogMedium
 
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from synfog_usd import isolated, system
-from synfog_usd.errors import BackendError
+from synfog_usd.base import isolated, system
+from synfog_usd.base.errors import BackendError
 
 VariantName = Literal["auto", "cuda", "llvm", "scalar"]
 """Or cuda:1, and so on, for one of several GPUs, as nvidia-smi counts them."""

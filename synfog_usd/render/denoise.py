@@ -25,9 +25,9 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray
-from synfog_usd.errors import ParameterError
-from synfog_usd.progress import Progress, silent
+from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
 from synfog_usd.render.film.accumulator import DIRECT, HALVES, LIT, SHARE_PX
 from synfog_usd.render.film.raster import Raster

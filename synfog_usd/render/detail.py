@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.scene import Camera
 
 MOVED_PX = 0.5

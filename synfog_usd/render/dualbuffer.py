@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import FloatArray as Array
-from synfog_usd.arrays import Indices
+from synfog_usd.base.arrays import FloatArray as Array
+from synfog_usd.base.arrays import Indices
 
 SCALES_PX = (64, 16, 4, 0)
 """Standard deviations [px] of the blurs, wide to none; then `NEARBY_PX`, and the whole picture.

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, Flags, Indices, extent
+from synfog_usd.base.arrays import Array, Flags, Indices, extent
 from synfog_usd.render import detail, surface
 from synfog_usd.render.lights.crowd import crowded
 from synfog_usd.render.placed import Piece, Prototypes, Standing

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend, surface

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.numbers import RGB, check_bands
+from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.base.numbers import RGB, check_bands
 from synfog_usd.scene import SceneDict
 
 if TYPE_CHECKING:

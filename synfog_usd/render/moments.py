@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.progress import Progress, silent, within
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
 from synfog_usd.render.denoise import Guides, guides
 from synfog_usd.render.film.accumulator import (
@@ -31,7 +32,6 @@ from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.scene import Camera, SceneDict
-from synfog_usd.seeds import seed32
 
 STEP_PX = 1.0
 """Way of what moves fastest in the picture from one part of the exposure to the next, where samples allow."""

@@ -16,7 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.render import backend
 
 TRACED = "llvm_ad_mono"

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd import numbers, system
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent, within
+from synfog_usd.base import numbers, system
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render import backend, dualbuffer, models, moments
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render.film import aovs

@@ -35,7 +35,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.scene import mean_colour, texels
 

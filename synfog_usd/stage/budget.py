@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 
 MAX_DEPTH = 256
 """Levels of nested prims; USD's own caches recurse and run out of stack at some thousands."""

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from pxr import Usd, Vt
 
-from synfog_usd.cityscapes import LABELS
+from synfog_usd.base.cityscapes import LABELS
 
 TAXONOMY = "cityscapes"
 UNLABELED = "unlabeled"

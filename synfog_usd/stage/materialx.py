@@ -14,9 +14,9 @@ from xml.parsers import expat
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdShade
 
-from synfog_usd.colour import srgb_decode
-from synfog_usd.errors import StageError
-from synfog_usd.fence import Fence
+from synfog_usd.base.colour import srgb_decode
+from synfog_usd.base.errors import StageError
+from synfog_usd.base.fence import Fence
 
 MAX_BYTES = 16 << 20
 """Of one file; the largest of public libraries has 2 MB."""

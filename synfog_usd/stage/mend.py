@@ -11,9 +11,9 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from synfog_usd.errors import OutputError
-from synfog_usd.fence import LAYERS, Fence
-from synfog_usd.files import write_whole
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.fence import LAYERS, Fence
+from synfog_usd.base.files import write_whole
 from synfog_usd.stage import rules
 from synfog_usd.stage.labels import TAXONOMY
 from synfog_usd.stage.open import MENDED_UNITS, dependencies, unscaled_references, up_axis

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage.open import plain_errors
 
 

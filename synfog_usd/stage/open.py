@@ -16,9 +16,9 @@ from typing import Concatenate, ParamSpec, TypeVar, cast
 
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdUtils, Vt
 
-from synfog_usd.errors import StageError, SynfogError, did_you_mean
-from synfog_usd.fence import LAYERS, Fence
-from synfog_usd.files import sha256_of
+from synfog_usd.base.errors import StageError, SynfogError, did_you_mean
+from synfog_usd.base.fence import LAYERS, Fence
+from synfog_usd.base.files import sha256_of
 from synfog_usd.scene import Note
 from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.budget import MAX_DEPTH

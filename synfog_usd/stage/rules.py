@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.stage.labels import direct_label, official_name
 from synfog_usd.stage.open import cameras, up_axis
 from synfog_usd.stage.rulebook import Finding, finding

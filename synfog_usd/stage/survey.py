@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from pxr import Ar, Sdf, Tf
 
-from synfog_usd.errors import StageError
-from synfog_usd.fence import LAYERS, Fence
+from synfog_usd.base.errors import StageError
+from synfog_usd.base.fence import LAYERS, Fence
 from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.crate import array_sizes, faults_of_paths, impossible_lengths, table_sizes
 

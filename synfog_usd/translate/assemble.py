@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Sdf, Usd
 
-from synfog_usd.arrays import Array, extent
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Array, extent
+from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict, boxes
 from synfog_usd.stage.labels import UNLABELED

@@ -11,7 +11,7 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdRender
 from scipy.spatial.transform import Rotation
 
-from synfog_usd.errors import StageError, did_you_mean
+from synfog_usd.base.errors import StageError, did_you_mean
 from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import MISSING, cameras, composition_notes
 from synfog_usd.translate.diagnostics import Diagnostics

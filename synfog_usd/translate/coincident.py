@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.scene import SceneDict, placements, shapes_of
 from synfog_usd.translate.geometry import cross, determinant
 

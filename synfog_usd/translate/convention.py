@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 from pxr import Sdf, Usd
 
-from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.translate.diagnostics import Diagnostics
 
 Lights = Literal["auto", "usd", "blender", "rtx-legacy", "metric"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, extent
+from synfog_usd.base.arrays import Array, extent
 from synfog_usd.scene import SceneDict, placements, shapes_of
 from synfog_usd.translate.geometry import cross
 

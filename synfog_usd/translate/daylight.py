@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.scene import Camera, SceneDict
 
 GROUND_ALBEDO = 0.2

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pxr import Sdf, Usd
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Note, SceneDict
 from synfog_usd.stage.open import authored_path, selected

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import StageError
 
 MAX_BYTES = 4 << 20
 _MOST_ANGLES = 4096

@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from pxr import Usd
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 

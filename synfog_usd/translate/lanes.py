@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.scene import Lanelet
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space, apply

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdLux
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.errors import StageError
 from synfog_usd.scene import MANY_LIT, Note, SceneDict, lit_kind
 from synfog_usd.stage import budget
 from synfog_usd.translate.convention import USD, Convention

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 
 ATTRIBUTE = "synfog:lightGroup"
 VEHICLES = ("car", "truck", "bus", "caravan", "trailer", "train", "motorcycle", "bicycle", "rider", "ego vehicle")

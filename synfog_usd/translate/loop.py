@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.translate.subdivide import (
     INFINITE,
     Cage,

@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdShade
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.scene import mean_colour
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics

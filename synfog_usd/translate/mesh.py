@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
-from synfog_usd.arrays import Array, Indices, distinct
+from synfog_usd.base.arrays import Array, Indices, distinct
 from synfog_usd.translate import finite, loop
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Attribute, Polygons, cross

@@ -10,7 +10,7 @@ import re
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.translate.pose import told_velocity
 from synfog_usd.translate.space import FAR, Space, columns
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
-from synfog_usd.errors import did_you_mean
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.errors import did_you_mean
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.nodes import IMAGES, MOST_PIXELS, Graph, UnknownNodeError
 from synfog_usd.translate.texture import (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pxr import Usd, UsdShade
 
-from synfog_usd.arrays import Array, FloatArray
+from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.translate.texture import (
     ImageReader,
     TextureNode,

@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Usd
 from scipy.interpolate import BSpline
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, cross
 from synfog_usd.translate.primvars import ORIENTATIONS, array_at, value_at

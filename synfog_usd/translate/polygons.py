@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pythoncdt
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
 
 

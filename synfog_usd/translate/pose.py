@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.translate.space import Space, columns
 
 VELOCITY = "physics:velocity"

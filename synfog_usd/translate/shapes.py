@@ -15,8 +15,8 @@ from typing import Any, Concatenate, ParamSpec, TypeAlias
 import numpy as np
 from pxr import Usd
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.translate import curves, drawmode, finite, geometry, light
 from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.convention import Chooser

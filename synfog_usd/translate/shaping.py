@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from pxr import Ar, UsdLux
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate import ies
 from synfog_usd.translate.diagnostics import Diagnostics
 

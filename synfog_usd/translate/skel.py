@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
 
 MAX_PRIMS = 2_000_000

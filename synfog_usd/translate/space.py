@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import StageError
-from synfog_usd.numbers import UNITS_M
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import StageError
+from synfog_usd.base.numbers import UNITS_M
 from synfog_usd.stage.open import up_axis
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import determinant

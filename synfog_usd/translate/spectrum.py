@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from pxr import Usd
 
-from synfog_usd import spectra
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import spectra
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.scene import base_colour
 from synfog_usd.translate.diagnostics import Diagnostics
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 
 INFINITE = 10.0
 """Sharpness from which an edge or corner stays sharp for ever; USD's SHARPNESS_INFINITE."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
 
 

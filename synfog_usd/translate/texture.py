@@ -19,9 +19,9 @@ import numpy.typing as npt
 import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
-from synfog_usd.arrays import Pixels
-from synfog_usd.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Pixels
+from synfog_usd.base.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.wrap import MODES, Wrapped, wrapped

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Flags
+from synfog_usd.base.arrays import Array, Flags
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.walk import GroupInstance
 

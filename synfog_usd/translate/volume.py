@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
-from synfog_usd.arrays import Array, distinct
-from synfog_usd.errors import ParameterError, StageError, did_you_mean
+from synfog_usd.base.arrays import Array, distinct
+from synfog_usd.base.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdVol
 
-from synfog_usd.arrays import Array, Flags
-from synfog_usd.errors import StageError
+from synfog_usd.base.arrays import Array, Flags
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes

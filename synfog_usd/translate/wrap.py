@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.arrays import Pixels
+from synfog_usd.base.arrays import Pixels
 
 MODES = ("repeat", "mirror", "clamp", "black")
 

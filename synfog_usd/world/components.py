@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdMedia, UsdSemantics, UsdShade, Vt
 
-from synfog_usd.files import write_whole
-from synfog_usd.spectra import REFLECTANCE
+from synfog_usd.base.files import write_whole
+from synfog_usd.base.spectra import REFLECTANCE
 from synfog_usd.world import lamps as street_and_vehicle
 from synfog_usd.world.materials import PALETTE, Colour, Material
 from synfog_usd.world.shapes import Part, by_material

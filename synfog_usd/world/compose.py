@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from synfog_usd import resources
-from synfog_usd.errors import RecipeError
+from synfog_usd.base import resources
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world import parameters
 from synfog_usd.world.departments import write_layers
 from synfog_usd.world.language import Recipe, load_root

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from pxr import Sdf, Tf
 
-from synfog_usd.errors import OutputError
-from synfog_usd.files import write_whole
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import write_whole
 
 WORLD = Sdf.Path("/World")
 METADATA = ("defaultPrim", "metersPerUnit", "upAxis")

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Tf
 
-from synfog_usd.errors import OutputError, ParameterError, StageError, did_you_mean
-from synfog_usd.files import write_whole
+from synfog_usd.base.errors import OutputError, ParameterError, StageError, did_you_mean
+from synfog_usd.base.files import write_whole
 from synfog_usd.world.components import Component, write_component
 from synfog_usd.world.library import SIZES, LibraryModel
 from synfog_usd.world.library import read as read_model

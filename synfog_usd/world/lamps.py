@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError, did_you_mean
-from synfog_usd.photometry import observer
-from synfog_usd.science import colour_science
-from synfog_usd.spectra import EMISSION, emission
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.base.photometry import observer
+from synfog_usd.base.science import colour_science
+from synfog_usd.base.spectra import EMISSION, emission
 
 STREET, VEHICLE = "street_lamps", "headlights"
 GROUP_ATTRIBUTE = "synfog:lightGroup"

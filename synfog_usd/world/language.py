@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from synfog_usd.errors import RecipeError, did_you_mean
-from synfog_usd.seeds import stream
-from synfog_usd.yamlio import Located, Place, load_file, load_text
+from synfog_usd.base.errors import RecipeError, did_you_mean
+from synfog_usd.base.seeds import stream
+from synfog_usd.base.yamlio import Located, Place, load_file, load_text
 
 SCHEMA = "recipe/1"
 FOG_DEFAULT = (600, 300, 150)

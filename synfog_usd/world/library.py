@@ -16,8 +16,8 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom
 
-from synfog_usd import resources
-from synfog_usd.errors import StageError, did_you_mean
+from synfog_usd.base import resources
+from synfog_usd.base.errors import StageError, did_you_mean
 
 Range = tuple[float, float]
 

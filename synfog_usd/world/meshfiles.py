@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
-from synfog_usd.colour import srgb_decode
-from synfog_usd.errors import StageError, SynfogError
-from synfog_usd.fence import Fence
+from synfog_usd.base.colour import srgb_decode
+from synfog_usd.base.errors import StageError, SynfogError
+from synfog_usd.base.fence import Fence
 from synfog_usd.world.materials import Material
 from synfog_usd.world.shapes import Array, Part
 

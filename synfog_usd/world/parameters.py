@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.base.errors import RecipeError, did_you_mean
+from synfog_usd.base.yamlio import Located
 from synfog_usd.world.language import (
     Categorical,
     Continuous,
@@ -32,7 +33,6 @@ from synfog_usd.world.roads.horizon import KINDS as HORIZONS
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
 from synfog_usd.world.roads.roundabout_markings import GIVE_WAY
 from synfog_usd.world.skies import skies
-from synfog_usd.yamlio import Located
 
 CAR = {"hatchback": 3, "saloon": 3, "estate": 2, "offroader": 2, "van": 1}
 PAINTS = ("white", "silver", "grey", "black", "blue", "red", "green", "sand", "yellow")

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from synfog_usd.files import write_bytes
+from synfog_usd.base.files import write_bytes
 from synfog_usd.world.language import FOG, FOG_DEFAULT, SCHEMA, Categorical, Continuous, Parameter, sections
 from synfog_usd.world.parameters import LANE, WORLDS, World, named
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS

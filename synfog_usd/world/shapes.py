@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from synfog_usd.arrays import Array
-from synfog_usd.arrays import Indices as Index
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Indices as Index
 
 COLLAPSE = {
     "targetperc": 0.0,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
-from synfog_usd import resources
+from synfog_usd.base import resources
 from synfog_usd.world.library import LibraryModel
 
 VIEWS_DEG = (150.0, 90.0, -35.0)

@@ -20,8 +20,8 @@ from types import MappingProxyType
 import OpenImageIO
 from pxr import Sdf, Usd, UsdGeom, UsdLux
 
-from synfog_usd import resources
-from synfog_usd.errors import ParameterError, did_you_mean
+from synfog_usd.base import resources
+from synfog_usd.base.errors import ParameterError, did_you_mean
 
 
 @dataclass(frozen=True)

@@ -161,9 +161,9 @@ def seen_by_fade(folder: Path, pipeline: str) -> None:
     """A row a lighting of a set."""
     from PIL import Image
 
-    from synfog_usd.benchmark.metrics import fade
-    from synfog_usd.benchmark.statistics import mean
-    from synfog_usd.sets.index import pictures
+    from synfog_usd.dataset.sets.index import pictures
+    from synfog_usd.lab.benchmark.metrics import fade
+    from synfog_usd.lab.benchmark.statistics import mean
 
     seen: dict[str, dict[float, dict[int, float]]] = {}  # lighting -> visibility, the best first -> scene
     for one in pictures(folder):

@@ -34,15 +34,16 @@ from pathlib import Path
 import numpy as np
 from streets import STREETS, Street, scene_of
 
-from synfog_usd import camera, numbers
-from synfog_usd.arrays import Array
-from synfog_usd.image import Image
+from synfog_usd import camera
+from synfog_usd.base import numbers
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.image import Image
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import dualbuffer, models, shot
 from synfog_usd.render.load import MitsubaScene, resized
 from synfog_usd.render.sampling.adaptive import sensor_target
 from synfog_usd.scene import SceneDict
-from synfog_usd.testing import scene, sky, uniform_fog, wall
+from synfog_usd.scene.testing import scene, sky, uniform_fog, wall
 
 BLOCK_PX = 32
 TABLES = ("raw", "denoised", "sensor")

@@ -37,7 +37,7 @@ import numpy as np
 from cycles_scene import export, simplified
 
 from synfog_usd import stage as usd
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.fog import Fog
 from synfog_usd.render import models, shot
 from synfog_usd.render.lights import photometric

@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources, seeds
+from synfog_usd.base.constants import LUMINOUS_EFFICACY_LM_W
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.demosaic import demosaic
-from synfog_usd.constants import LUMINOUS_EFFICACY_LM_W
-from synfog_usd.image import Image, Quantity
 
 pytestmark = pytest.mark.bench
 
@@ -95,8 +96,9 @@ def test_the_memory_of_a_run_in_sixteen_bands():
         sys.path.insert(0, sys.argv[1])
         from pathlib import Path
         from test_camera import bands, street
-        from synfog_usd import camera, resources
-        from synfog_usd.writers import write_output
+        from synfog_usd import camera
+        from synfog_usd.base import resources
+        from synfog_usd.camera.writers import write_output
 
         graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
         run = camera.develop(graph, {"radiance": street(bands(16))}, seed=0, keep=tuple(graph.outputs.values()))

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.bench
 
 CHILD = """
 import json, resource, sys, time
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import translate

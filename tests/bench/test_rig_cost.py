@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from synfog_usd.resources import folder
+from synfog_usd.base.resources import folder
 
 SECOND = """#usda 1.0
 (

@@ -15,14 +15,14 @@ from onnx import TensorProto, helper
 from PIL import Image
 from support import cli
 
-from synfog_usd import seeds
-from synfog_usd.benchmark import bench as runs
-from synfog_usd.benchmark import defog, metrics, page
-from synfog_usd.benchmark.bench import GIVE_UP
-from synfog_usd.benchmark.methods import chosen
-from synfog_usd.benchmark.pairs import Pair, find
-from synfog_usd.benchmark.statistics import mean, ranks
-from synfog_usd.errors import OutputError, ParameterError
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.lab.benchmark import bench as runs
+from synfog_usd.lab.benchmark import defog, metrics, page
+from synfog_usd.lab.benchmark.bench import GIVE_UP
+from synfog_usd.lab.benchmark.methods import chosen
+from synfog_usd.lab.benchmark.pairs import Pair, find
+from synfog_usd.lab.benchmark.statistics import mean, ranks
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from synfog_usd import seeds
-from synfog_usd.benchmark import classics
+from synfog_usd.base import seeds
+from synfog_usd.lab.benchmark import classics
 
 
 def street(side: int = 120) -> tuple[np.ndarray, np.ndarray]:

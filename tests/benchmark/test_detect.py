@@ -15,13 +15,14 @@ from onnx import TensorProto, helper, numpy_helper
 from PIL import Image
 from support import cli
 
-from synfog_usd import files, seeds, writers
-from synfog_usd.benchmark import coco, decode, detect, detectors
-from synfog_usd.benchmark.coco import EVERYTHING, FoundBox, TrueBox
-from synfog_usd.benchmark.methods import chosen as defoggers
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image as Layers
-from synfog_usd.image import Quantity
+from synfog_usd.base import files, seeds
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image as Layers
+from synfog_usd.base.image import Quantity
+from synfog_usd.camera import writers
+from synfog_usd.lab.benchmark import coco, decode, detect, detectors
+from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, TrueBox
+from synfog_usd.lab.benchmark.methods import chosen as defoggers
 
 WIDE, HIGH = 64, 48
 THINGS = (

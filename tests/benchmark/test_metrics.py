@@ -9,9 +9,9 @@ import pytest
 from scipy import ndimage
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from synfog_usd import seeds
-from synfog_usd.benchmark import metrics
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.lab.benchmark import metrics
 
 
 def pictures(noise: int = 20) -> tuple[np.ndarray, np.ndarray]:

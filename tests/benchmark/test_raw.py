@@ -11,12 +11,12 @@ from onnx import TensorProto, helper, numpy_helper
 from PIL import Image as Picture
 from support import raws
 
-from synfog_usd import writers
-from synfog_usd.benchmark.methods import chosen
-from synfog_usd.benchmark.raw import filter_planes
-from synfog_usd.benchmark.worker import MethodWorker
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
+from synfog_usd.lab.benchmark.methods import chosen
+from synfog_usd.lab.benchmark.raw import filter_planes
+from synfog_usd.lab.benchmark.worker import MethodWorker
 
 
 def mosaic(path: Path, pattern: str, shape=(24, 32)) -> np.ndarray:

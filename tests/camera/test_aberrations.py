@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry
+from synfog_usd import camera
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import ImageError, ParameterError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.aberrations import _Waves, aberrations
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.profiles import load_lens, load_sensor
-from synfog_usd.errors import ImageError, ParameterError
-from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("ar0132at")
 SIZE = (400, 300)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, sensor
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 
 def electrons(pixels, pattern="RGGB", **more):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from synfog_usd import photometry, seeds
+from synfog_usd.base import photometry, seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("imx363")
 

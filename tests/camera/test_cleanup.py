@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from synfog_usd import camera, seeds
+from synfog_usd import camera
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
 from synfog_usd.camera.cleanup import defects, denoise, false_colour, sharpen, starlet_noise
 from synfog_usd.camera.demosaic import demosaic
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.camera.graph import make_graph
 
 WELL_E, READ_E = 6000.0, 5.0
 SHOT, DARK = 1.0 / WELL_E, (READ_E / WELL_E) ** 2

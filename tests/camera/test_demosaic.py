@@ -9,12 +9,12 @@ import warnings
 import numpy as np
 import pytest
 
-from synfog_usd import seeds
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
 from synfog_usd.camera import demosaic as ops
 from synfog_usd.camera.demosaic import demosaic
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 ALGORITHMS = ("directional", "linear", "mhc", "menon")
 OTHERS = ("RCCB", "RGIB")
@@ -202,7 +202,7 @@ def test_a_mosaic_that_is_none_is_refused():
 def test_menon_warns_of_nothing():
     """In a fresh interpreter in which every warning is an error."""
     code = (
-        "import numpy as np; from synfog_usd.camera.demosaic import demosaic; from synfog_usd.image import Image, "
+        "import numpy as np; from synfog_usd.camera.demosaic import demosaic; from synfog_usd.base.image import Image, "
         "Quantity; "
         "demosaic(Image(np.ones((4, 4, 1), np.float32), ('CFA',), Quantity.LINEAR_RGB, provenance={'cfa_pattern': "
         "'RGGB'}), algorithm='menon')"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from synfog_usd import camera
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import distortion, isp, optics
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.image import Image, Quantity
 
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.02)
 PINCUSHION = (0.2, -0.05, 0.0, 0.001)

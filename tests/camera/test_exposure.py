@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synfog_usd import camera, resources
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.errors import GraphError, ParameterError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
 from synfog_usd.camera import exposure as metering
 from synfog_usd.camera.profiles import Curve, QuantumEfficiency
-from synfog_usd.errors import GraphError, ParameterError
-from synfog_usd.image import Image, Quantity
 
 
 @pytest.fixture(scope="module")

@@ -13,24 +13,25 @@ import tifffile
 from pxr import Usd
 from support import cli
 
-from synfog_usd import camera, resources
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.errors import GraphError, ImageError, ParameterError, StageError
+from synfog_usd.base.fisheye import Fisheye
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import optics
 from synfog_usd.camera.fisheye import of_graph
+from synfog_usd.camera.graph import make_graph
+from synfog_usd.camera.writers import read_exr
+from synfog_usd.camera.writers.opcodes import opcode_list
 from synfog_usd.dataset import scenes
+from synfog_usd.dataset.exports.frames import Labels
 from synfog_usd.dataset.lanes import _drawn, _places
 from synfog_usd.dataset.objects import Projection, solids
-from synfog_usd.errors import GraphError, ImageError, ParameterError, StageError
-from synfog_usd.exports.frames import Labels
-from synfog_usd.fisheye import Fisheye
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.render.shot import render
-from synfog_usd.testing import scene, sky, uniform_fog
+from synfog_usd.scene.testing import scene, sky, uniform_fog
 from synfog_usd.translate import translate
-from synfog_usd.writers import read_exr
-from synfog_usd.writers.opcodes import opcode_list
 
 WOODSCAPE = (339.749, -31.988, 48.275, -7.201)
 F_THETA = Fisheye((1.0,), 200.0)

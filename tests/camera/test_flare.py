@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import sici
 
-from synfog_usd import photometry, seeds
+from synfog_usd.base import photometry, seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import flare
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("imx363")
 GREEN = tuple(photometry.band_name(centre) for centre in (549.0, 550.0, 551.0))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from synfog_usd import camera
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.flicker import flicker, lit_share
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.camera.graph import make_graph
 
 
 def radiance(level: float, shape=(40, 6)) -> Image:

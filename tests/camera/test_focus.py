@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur
 from synfog_usd.camera.focus import depth_of_field
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 LENS = {"f_number": 2.0, "focal_length_mm": 20.0, "pixel_pitch_um": 4.0}
 FOCUS_M = 5.0

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
+from synfog_usd.base.errors import ImageError, ParameterError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import ghosts as op
 from synfog_usd.camera.ghosts import ghosts
 from synfog_usd.camera.paraxial import Drawing
 from synfog_usd.camera.profiles import load_lens
-from synfog_usd.errors import ImageError, ParameterError
-from synfog_usd.image import Image, Quantity
 
 LENS = load_lens("automotive_6mm")
 FACES = (LENS.radius_mm, LENS.thickness_mm, LENS.index, LENS.clear_mm)
@@ -161,7 +161,7 @@ def test_a_drawing_of_no_lens_is_refused(change, told):
 
 
 def test_a_profile_whose_drawing_has_another_focal_length_is_refused(tmp_path):
-    from synfog_usd import resources
+    from synfog_usd.base import resources
 
     text = (resources.folder("assets") / "lenses" / "automotive_6mm.yaml").read_text()
     (tmp_path / "lens.yaml").write_text(text.replace("{value: 6.0, ", "{value: 8.0, "))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from synfog_usd import camera
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.exposure import meter
 from synfog_usd.camera.flicker import flicker
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.camera.graph import make_graph
 
 TIME_S, READOUT_S, ROWS = 0.004, 0.012, 60
 TIMES_S = TIME_S + READOUT_S * (np.arange(ROWS) + 0.5) / ROWS

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from support import cli
 
-from synfog_usd import camera, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import resources, seeds
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import exposure, hdr, isp, sensor
+from synfog_usd.camera.graph import make_graph
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import read_exr
+from synfog_usd.camera.writers import read_exr
 
 CHIP = load_sensor("imx490_like")
 HIGH, LOW = 1.0, 0.25

@@ -11,12 +11,13 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources, seeds
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, hdr, isp
+from synfog_usd.camera.graph import make_graph
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("imx363")
 LIGHTS = {"d65": "D65", "a": "A", "hps": "HP1", "led": "LED-B3"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synfog_usd import seeds
+from synfog_usd.base import seeds
 from synfog_usd.camera import noise
 
 COUNT = 1 << 20

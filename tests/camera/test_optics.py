@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import resources
+from synfog_usd.base import resources
+from synfog_usd.base.errors import ImageError, ParameterError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import optics
 from synfog_usd.camera.profiles import load_lens
-from synfog_usd.errors import ImageError, ParameterError
-from synfog_usd.image import Image, Quantity
 
 
 def radiance(pixels, channels=("R", "G", "B")) -> Image:

@@ -9,12 +9,13 @@ import re
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources, seeds
+from synfog_usd.base.errors import GraphError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
-from synfog_usd.errors import GraphError
-from synfog_usd.graph import Cache, make_graph, outputs
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import WRITERS, write_output
+from synfog_usd.camera.graph import Cache, make_graph, outputs
+from synfog_usd.camera.writers import WRITERS, write_output
 
 GRAPHS = [path for path in sorted(resources.folder("pipeline").glob("*.yaml")) if path.stem != "raw"]
 """Whole cameras; raw.yaml is half of one, see tests/writers/test_raw.py."""

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synfog_usd import photometry, resources
+from synfog_usd.base import photometry, resources
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import Curve, QuantumEfficiency, guessed, load_lens, load_sensor, shipped
-from synfog_usd.errors import ParameterError
 
 IMX363 = (resources.folder("assets") / "sensors" / "imx363.yaml").read_text()
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from support.stats import assert_mean
 
-from synfog_usd import camera, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import resources, seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, isp, response, sensor
 from synfog_usd.camera.profiles import Curve, QuantumEfficiency, load_sensor
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 SENSOR = load_sensor("imx363")
 SIGMAS = 4.5

@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import camera, seeds
+from synfog_usd import camera
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import specimen
-from synfog_usd.errors import ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.camera.graph import make_graph
 
 SERIAL = "test-1"
 SIGMAS = 4.5

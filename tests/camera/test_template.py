@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.camera.profiles import (
     LensProfile,
     SensorProfile,
@@ -18,7 +19,6 @@ from synfog_usd.camera.profiles import (
     load_sensor,
 )
 from synfog_usd.camera.template import lens_template, meanings, sensor_template
-from synfog_usd.errors import ParameterError
 
 KINDS = {
     "sensor": (sensor_template, load_sensor, SensorProfile, "imx363"),

@@ -7,13 +7,14 @@ import pytest
 import yaml
 from scipy import integrate
 
-from synfog_usd import camera, photometry
+from synfog_usd import camera
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import diffraction
+from synfog_usd.camera.graph import make_graph
 from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.camera.wavefront import Pupil, wavefront
-from synfog_usd.errors import GraphError, ImageError
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
 
 PUPIL = Pupil(550.0, 4.0, 2.0, 64)
 Q = 0.55 * 4.0 / 2.0

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import photometry
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.windscreen import GREEN_NM, GREEN_T, fresnel, second_image_rad, windscreen
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
 
 BANDS = tuple(photometry.band_name(centre) for centre in np.arange(405.0, 700.0, 10.0))
 

@@ -406,7 +406,7 @@ def test_a_large_picture_is_made_without_its_scene_to_the_same_bytes(unbroken, s
 
 def test_a_picture_that_memory_does_not_hold_is_refused_before_it_is_begun(stage, tmp_path, monkeypatch):
     """It is told what it would take: 10 to 16 GB, by what a picture of a sixteenth of the pixels was seen to take."""
-    from synfog_usd import system
+    from synfog_usd.base import system
 
     monkeypatch.setattr(system, "free_memory", lambda: 5_000_000_000)
     large = ["bake", stage, "-o", tmp_path / "out", "--resolution", "8192x4096", "--lighting", "sky", "--fog", "clear"]

@@ -10,8 +10,9 @@ import pytest
 import tifffile
 from support import cli
 
-from synfog_usd import camera, writers
-from synfog_usd.image import Image, Quantity
+from synfog_usd import camera
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 
 PIPELINE = Path(__file__).resolve().parents[2] / "pipeline" / "phone.yaml"
 

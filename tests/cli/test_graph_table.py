@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from support.cli import run
 
-from synfog_usd import camera, writers
-from synfog_usd.graph import drawing
-from synfog_usd.image import Image, Quantity
+from synfog_usd import camera
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
+from synfog_usd.camera.graph import drawing
 
 PIPELINES = sorted((Path(__file__).parents[2] / "pipeline").glob("*.yaml"))
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from synfog_usd import camera, writers
+from synfog_usd import camera
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 from synfog_usd.dataset import bake, labels
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Camera, Instance, SceneDict
 

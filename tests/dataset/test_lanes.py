@@ -11,7 +11,7 @@ from synfog_usd.dataset import labels, lanes, masks
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.scene import Lanelet
-from synfog_usd.testing import black, pixel_rays, scene
+from synfog_usd.scene.testing import black, pixel_rays, scene
 
 EYE_M = 2.0
 SIZE = {"width_px": 96, "height_px": 54, "fov_x_deg": 70.0}

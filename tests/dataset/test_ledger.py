@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from synfog_usd import files
+from synfog_usd.base import files
 from synfog_usd.dataset import ledger
 from synfog_usd.dataset.plan import Shot
 

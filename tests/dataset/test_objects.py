@@ -14,7 +14,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.scene import Instance, SceneDict
-from synfog_usd.testing import LOOK_NORTH, black, scene, tilted, uniform_fog, wall
+from synfog_usd.scene.testing import LOOK_NORTH, black, scene, tilted, uniform_fog, wall
 
 SIZE = {"width_px": 160, "height_px": 90, "fov_x_deg": 60.0}
 

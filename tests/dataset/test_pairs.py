@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from synfog_usd import camera, resources, writers
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import Exposure
-from synfog_usd.image import Image, Quantity
 
 SHAPE = (48, 64)
 FRAMES = 12

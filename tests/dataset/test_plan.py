@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, shots
-from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Fog
 
 OFFERED = {"fog": ("clear", "mor600", "mor150"), "lighting": ("sky", "active")}

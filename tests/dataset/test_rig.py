@@ -7,17 +7,19 @@ import pytest
 from pxr import Usd
 from support.stages import rig_stage
 
-from synfog_usd import camera, resources, stage, writers
+from synfog_usd import camera, stage
+from synfog_usd.base import resources
+from synfog_usd.base.errors import OutputError, ParameterError, StageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import meter
 from synfog_usd.dataset import session
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras, folders_of
-from synfog_usd.errors import OutputError, ParameterError, StageError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.sets.definition import make_set
-from synfog_usd.sets.scenes import scene
-from synfog_usd.sets.unit import make
+from synfog_usd.dataset.sets.definition import make_set
+from synfog_usd.dataset.sets.scenes import scene
+from synfog_usd.dataset.sets.unit import make
 from synfog_usd.translate import Exchange, exchange
 
 SMALL = dict(size=(48, 28), quality="reference", samples=4, bands=3)

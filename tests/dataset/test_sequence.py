@@ -11,13 +11,14 @@ import tifffile
 from support.cli import run
 from support.stages import street
 
-from synfog_usd import camera, resources
+from synfog_usd import camera
 from synfog_usd import stage as usd
+from synfog_usd.base import resources
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.seeds import frame_seed, seed32
+from synfog_usd.camera.writers import video
 from synfog_usd.dataset.plan import BakePlan, frame_codes
 from synfog_usd.dataset.sequence import bake_sequence
-from synfog_usd.errors import OutputError, ParameterError
-from synfog_usd.seeds import frame_seed, seed32
-from synfog_usd.writers import video
 
 STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
 

@@ -13,11 +13,10 @@ import pytest
 import tifffile
 from support.stages import street
 
-from synfog_usd import writers
-from synfog_usd.camera import OPS
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import OPS, writers
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.image import Image, Quantity
 
 SIZE = (96, 54)
 CHANCE = 5.0 / np.sqrt(SIZE[0] * SIZE[1])  # five standard deviations of the correlation of independent pixels: 0.07

@@ -9,15 +9,16 @@ import pytest
 from PIL import Image as Picture
 from support.stages import rig_stage
 
-from synfog_usd import stage, writers
+from synfog_usd import stage
+from synfog_usd.base.image import Quantity
+from synfog_usd.camera import writers
 from synfog_usd.dataset import stereo
+from synfog_usd.dataset.exports import cityscapes, kitti, vkitti2
+from synfog_usd.dataset.exports.folder import ExportFolder
+from synfog_usd.dataset.exports.frames import pictures
+from synfog_usd.dataset.exports.record import Boxed
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras
-from synfog_usd.exports import cityscapes, kitti, vkitti2
-from synfog_usd.exports.folder import ExportFolder
-from synfog_usd.exports.frames import pictures
-from synfog_usd.exports.record import Boxed
-from synfog_usd.image import Quantity
 from synfog_usd.translate import Exchange
 
 WIDTH, BASELINE_M, FOV_DEG = 160, 0.5, 40.0

@@ -9,7 +9,7 @@ from synfog_usd.fog import FogMedium
 from synfog_usd.fog.volume import FogVolume
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
-from synfog_usd.testing import box, scene, wall
+from synfog_usd.scene.testing import box, scene, wall
 
 IDS = np.zeros((60, 80), dtype=np.int64)
 IDS[20:40, 30:60] = 1

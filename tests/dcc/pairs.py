@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from synfog_usd.colour import srgb_encode
+from synfog_usd.base.colour import srgb_encode
 from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load, render

@@ -14,9 +14,9 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from synfog_usd.camera.profiles import load_lens, load_sensor, shipped
+from synfog_usd.camera.writers.exr import read_exr
 from synfog_usd.stage import check, open_stage, select, variants
 from synfog_usd.translate import outdoors, translate
-from synfog_usd.writers.exr import read_exr
 
 BPY = os.environ.get("SYNFOG_BPY", "")
 pytestmark = pytest.mark.skipif(not BPY, reason="SYNFOG_BPY names no Python that has bpy")

@@ -25,12 +25,14 @@ from pxr import Sdf
 from support.cli import process, run
 from support.stages import street
 
-from synfog_usd import camera, writers, yamlio
-from synfog_usd.benchmark import detectors, methods
+from synfog_usd import camera
+from synfog_usd.base import yamlio
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.cli.main import app
-from synfog_usd.image import Image, Quantity
-from synfog_usd.sets import cluster, definition, index, layout
+from synfog_usd.dataset.sets import cluster, definition, index, layout
+from synfog_usd.lab.benchmark import detectors, methods
 from synfog_usd.world import compose
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synfog_usd.sets import index, layout
+from synfog_usd.dataset.sets import index, layout
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
 SCENES = 60

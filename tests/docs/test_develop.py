@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from synfog_usd import camera
-from synfog_usd.graph import Registry
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Registry
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/develop.md").read_text(encoding="utf-8")

@@ -9,15 +9,16 @@ import pytest
 import trimesh
 from PIL import Image as Picture
 
-from synfog_usd import files, writers
+from synfog_usd.base import files
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
 from synfog_usd.dataset import labels, objects, visibility
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.image import Image, Quantity
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import in_fog, to_mitsuba
 from synfog_usd.scene import Instance
-from synfog_usd.testing import black, box, scene
-from synfog_usd.transmittance import of_instances
+from synfog_usd.scene.testing import black, box, scene
+from synfog_usd.scene.transmittance import of_instances
 
 PAINT = {"type": "ref", "id": "mat_black"}
 FOGS = {"clear": None, "mor150": 150.0, "mor50": 50.0}
@@ -124,8 +125,8 @@ def baked(tmp_path_factory):
 @pytest.fixture(scope="session")
 def exported(baked, tmp_path_factory):
     """Export once and give the folder: `exported("coco")`."""
-    from synfog_usd.exports.record import exporter
-    from synfog_usd.exports.run import export
+    from synfog_usd.dataset.exports.record import exporter
+    from synfog_usd.dataset.exports.run import export
 
     made = {}
 

@@ -16,13 +16,13 @@ import trimesh
 from PIL import Image as Picture
 from support import cli
 
+from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.dataset import masks
-from synfog_usd.errors import OutputError, ParameterError
-from synfog_usd.exports import folder as folders
-from synfog_usd.exports import taxonomy
-from synfog_usd.exports.frames import pictures
-from synfog_usd.exports.record import EXPORTERS, Boxed, exporter
-from synfog_usd.exports.run import export
+from synfog_usd.dataset.exports import folder as folders
+from synfog_usd.dataset.exports import taxonomy
+from synfog_usd.dataset.exports.frames import pictures
+from synfog_usd.dataset.exports.record import EXPORTERS, Boxed, exporter
+from synfog_usd.dataset.exports.run import export
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning",
@@ -514,7 +514,7 @@ def test_labels_of_an_older_version_are_refused(baked, tmp_path):
 
 def test_a_box_turned_by_an_angle_has_that_rotation_y():
     """A car of KITTI's: 0 faces the camera's right, pi / 2 the camera."""
-    from synfog_usd.exports.kitti import upright
+    from synfog_usd.dataset.exports.kitti import upright
 
     for turn in (0.0, 0.7, math.pi / 2, -2.0):
         heading = math.atan2(math.cos(turn), -math.sin(turn)) * -1.0  # of +Y, about Z, in a world of x right, y ahead

@@ -10,9 +10,11 @@ import pytest
 from PIL import Image as Picture
 from support.browser import Tab, chromium
 
-from synfog_usd import camera, files, resources, writers
-from synfog_usd.exports import gallery
-from synfog_usd.exports.folder import ExportFolder
+from synfog_usd import camera
+from synfog_usd.base import files, resources
+from synfog_usd.camera import writers
+from synfog_usd.dataset.exports import gallery
+from synfog_usd.dataset.exports.folder import ExportFolder
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")]
 

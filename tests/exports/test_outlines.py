@@ -5,7 +5,7 @@ import pytest
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from synfog_usd.exports.outlines import outlines
+from synfog_usd.dataset.exports.outlines import outlines
 
 RNG = np.random.default_rng(5)
 

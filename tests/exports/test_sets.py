@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from synfog_usd import files
-from synfog_usd.exports import gallery, stats
-from synfog_usd.exports.frames import pictures
-from synfog_usd.exports.record import EXPORTERS, exporter
-from synfog_usd.exports.run import export
-from synfog_usd.study.pages import scenes
+from synfog_usd.base import files
+from synfog_usd.dataset.exports import gallery, stats
+from synfog_usd.dataset.exports.frames import pictures
+from synfog_usd.dataset.exports.record import EXPORTERS, exporter
+from synfog_usd.dataset.exports.run import export
+from synfog_usd.lab.study.pages import scenes
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 
@@ -21,7 +21,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 @pytest.fixture(scope="module")
 def out(baked, tmp_path_factory):
     """Scene 0 for training and scene 1001 for testing, in two pipelines each."""
-    from synfog_usd.sets import index, layout
+    from synfog_usd.dataset.sets import index, layout
 
     folder = tmp_path_factory.mktemp("set") / "two"
     manifest = json.loads((baked.folder / "bake.json").read_text())

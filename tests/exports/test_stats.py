@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.cli import run
 
-from synfog_usd.exports import stats
+from synfog_usd.dataset.exports import stats
 
 
 def test_counts_are_those_of_the_labels(baked):

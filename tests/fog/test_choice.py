@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.errors import ParameterError
 from synfog_usd.fog import Fog, FogMedium
 from synfog_usd.fog.phase import Droplets
 

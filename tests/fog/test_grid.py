@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.volume import optical_depth
-from synfog_usd.testing import box
+from synfog_usd.scene.testing import box
 
 
 def cloud(boundary, values, sigma_t=0.1):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import FogMedium, extinction_from_visibility
 
 EPS64 = np.finfo(np.float64).eps

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import FogMedium
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein, Tabulated
 

@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 import pytest
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
 from synfog_usd.fog.slab import solve
 

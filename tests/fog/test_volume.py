@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import Boundary
-from synfog_usd.testing import box
+from synfog_usd.scene.testing import box
 
 
 def test_a_mesh_contains_what_its_box_contains():

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from synfog_usd.errors import ParameterError
-from synfog_usd.graph import Auto, FromProfile, Port, Range, Registry
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Auto, FromProfile, Port, Range, Registry
 
 
 @dataclass(frozen=True)

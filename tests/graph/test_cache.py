@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from synfog_usd.errors import OutputError
-from synfog_usd.files import TEMPORARY_PREFIX
-from synfog_usd.graph import Cache, Range, Registry, cache, load_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base.errors import OutputError
+from synfog_usd.base.files import TEMPORARY_PREFIX
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Cache, Range, Registry, cache, load_graph
 
 GRAPH = """\
 synfog: graph/1
@@ -124,7 +124,7 @@ def test_auto_that_is_found_in_the_provenance_follows_it(tmp_path, registry, rad
 def registry_of(folder: Path, source: str) -> Registry:
     """A registry with one op, `own.op`, whose source is a file as a user has it."""
     path = folder / "own_ops.py"
-    path.write_text(f"from synfog_usd.image import Image, Quantity\n\n{source}\n")
+    path.write_text(f"from synfog_usd.base.image import Image, Quantity\n\n{source}\n")
     names: dict = {}
     exec(compile(path.read_text(), str(path), "exec"), names)
     cache._source_hash.cache_clear()

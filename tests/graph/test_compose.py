@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from synfog_usd import camera, resources
-from synfog_usd.errors import GraphError
-from synfog_usd.graph import load_graph
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.errors import GraphError
+from synfog_usd.camera.graph import load_graph
 
 BASE = """\
 synfog: graph/1

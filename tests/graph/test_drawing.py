@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from synfog_usd import camera, resources
-from synfog_usd.graph import drawing, load_graph
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.camera.graph import drawing, load_graph
 
 BRANCHES = """\
 synfog: graph/1

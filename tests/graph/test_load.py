@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from synfog_usd import resources, yamlio
-from synfog_usd.errors import GraphError, ParameterError
-from synfog_usd.graph import drawing, load_graph
+from synfog_usd.base import resources, yamlio
+from synfog_usd.base.errors import GraphError, ParameterError
+from synfog_usd.camera.graph import drawing, load_graph
 
 GOOD = """\
 synfog: graph/1

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd import camera, resources, seeds, writers
-from synfog_usd.camera import blur, cleanup, demosaic, isp, optics, sensor
-from synfog_usd.errors import GraphError
-from synfog_usd.graph import load_graph, make_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd import camera
+from synfog_usd.base import resources, seeds
+from synfog_usd.base.errors import GraphError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import blur, cleanup, demosaic, isp, optics, sensor, writers
+from synfog_usd.camera.graph import load_graph, make_graph
 
 NODES = [
     {"name": "irradiance", "op": "optics.irradiance", "falloff": "cos4"},

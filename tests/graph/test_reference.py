@@ -9,11 +9,12 @@ from typing import Annotated
 import pytest
 import yaml
 
-from synfog_usd import camera, resources
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.errors import GraphError
+from synfog_usd.base.image import Image
+from synfog_usd.camera.graph import Range, Registry, load_graph, reference, schema
 from synfog_usd.cli.graph import schema_text
-from synfog_usd.errors import GraphError
-from synfog_usd.graph import Range, Registry, load_graph, reference, schema
-from synfog_usd.image import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 GRAPHS = sorted(resources.folder("pipeline").glob("*.yaml"))

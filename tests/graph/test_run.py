@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd.errors import GraphError, ImageError, ParameterError
-from synfog_usd.graph import Registry, drawing, load_graph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base.errors import GraphError, ImageError, ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import Registry, drawing, load_graph
 
 GRAPH = """\
 synfog: graph/1

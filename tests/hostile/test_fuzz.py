@@ -25,8 +25,8 @@ from pxr import Sdf, Tf, Usd
 from support import cli
 from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read, read_file, replaced, retyped, type_of
 
+from synfog_usd.base.errors import SynfogError
 from synfog_usd.camera import load_graph
-from synfog_usd.errors import SynfogError
 from synfog_usd.stage import open_stage
 from synfog_usd.stage.open import override, plain_errors, select
 

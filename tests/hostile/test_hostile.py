@@ -21,10 +21,10 @@ from support import cli
 from support.hostile import png
 from support.memory import at_peak
 
-from synfog_usd import system
+from synfog_usd.base import system
+from synfog_usd.base.errors import StageError
+from synfog_usd.base.fence import Fence
 from synfog_usd.cli.check import look
-from synfog_usd.errors import StageError
-from synfog_usd.fence import Fence
 from synfog_usd.scene import MANY_LIT
 from synfog_usd.stage import budget, check, crate, open_stage, survey
 from synfog_usd.stage.crate import array_sizes, impossible_lengths, table_sizes
@@ -416,7 +416,7 @@ def test_textures_together_have_a_budget(tmp_path, painted, monkeypatch):
 
 LIBRARY = """
 import sys
-from synfog_usd.errors import SynfogError
+from synfog_usd.base.errors import SynfogError
 from synfog_usd.stage import check, open_stage
 from synfog_usd.translate import translate
 for path in sys.argv[1:]:
@@ -531,7 +531,7 @@ def test_damaged_binary_files_end_in_one_line(tmp_path):
 
 PARENT = """
 import sys
-from synfog_usd import isolated
+from synfog_usd.base import isolated
 from synfog_usd.cli.main import main
 first = sys.argv.pop(1)
 isolated.command = lambda *words: [sys.executable, "-c", first, *words]
@@ -623,7 +623,7 @@ def test_the_limits_of_reading_end_with_it():
 def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     """With a second of processor time instead of ten minutes."""
     path = written(tmp_path / "slow.usda", bomb(15, instanceable=False))
-    limit = "from synfog_usd import system\nsystem.READ_CPU_S = 1"
+    limit = "from synfog_usd.base import system\nsystem.READ_CPU_S = 1"
     done = process_after(limit, "check", path, env={**os.environ, budget.TRUSTED: "1"})
     told = done.stderr
     assert done.returncode == 2 and told.count("\n") == 1 and "reading took more than 600 s of processor time" in told

@@ -155,7 +155,7 @@ def away(wheel, tmp_path_factory):
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
 
-    assert run("-c", "from synfog_usd import resources; print(resources.folder('stages'))") == str(
+    assert run("-c", "from synfog_usd.base import resources; print(resources.folder('stages'))") == str(
         site / "synfog_usd" / "data" / "stages"
     )
     return site, empty, run
@@ -167,7 +167,7 @@ def test_the_shipped_stage_finds_all_its_assets_in_the_wheel(away):
     ask = """if True:
         import json
         from pxr import UsdUtils
-        from synfog_usd import resources
+        from synfog_usd.base import resources
         layers, assets, missing = UsdUtils.ComputeAllDependencies(str(resources.folder("stages") / "crossroads.usda"))
         print(json.dumps([[layer.realPath for layer in layers], list(assets), list(missing)]))
     """

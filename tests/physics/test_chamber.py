@@ -7,10 +7,10 @@ import pytest
 from support.renders import by_seed
 from support.stats import assert_agree
 
-from synfog_usd import resources
+from synfog_usd.base import resources
+from synfog_usd.lab.study.chamber import chamber, patch_mean, patch_pixels, sample_patches
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
-from synfog_usd.study.chamber import chamber, patch_mean, patch_pixels, sample_patches
 
 pytestmark = pytest.mark.physics
 

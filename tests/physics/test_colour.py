@@ -16,11 +16,12 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, response
+from synfog_usd.camera.graph import make_graph
 from synfog_usd.camera.profiles import load_sensor, shipped
-from synfog_usd.graph import make_graph
-from synfog_usd.image import Image, Quantity
 
 LIGHTS = {"d65": "D65", "a": "A", "hps": "HP1", "led": "LED-B3"}
 """Our name of a light -> colour-science's."""

@@ -15,10 +15,11 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.exposure import meter
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
-from synfog_usd.image import Image, Quantity
 
 pytestmark = [pytest.mark.physics, pytest.mark.slow]
 

@@ -14,7 +14,7 @@ from support.renders import by_seed
 from support.stats import assert_mean
 
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
-from synfog_usd.testing import empty_slab
+from synfog_usd.scene.testing import empty_slab
 
 SEEDS = 12
 BANDS = 4

@@ -14,8 +14,9 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import camera, resources
-from synfog_usd.image import Image, Quantity
+from synfog_usd import camera
+from synfog_usd.base import resources
+from synfog_usd.base.image import Image, Quantity
 
 pytestmark = [pytest.mark.physics, pytest.mark.slow]
 

@@ -20,11 +20,11 @@ from scipy import constants
 from support import emva
 
 from synfog_usd import camera
+from synfog_usd.base.image import Quantity
 from synfog_usd.camera import cfa
+from synfog_usd.camera.graph import Registry
 from synfog_usd.camera.profiles import shipped
-from synfog_usd.graph import Registry
-from synfog_usd.image import Quantity
-from synfog_usd.study.bench import Reading, SensorBench, bench, readings, transfer
+from synfog_usd.lab.study.bench import Reading, SensorBench, bench, readings, transfer
 
 READINGS = readings()
 LIGHT_NM = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 560.0}

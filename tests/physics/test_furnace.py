@@ -5,7 +5,7 @@ import pytest
 from support import renders
 
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.testing import box, scene, sky, uniform_fog
+from synfog_usd.scene.testing import box, scene, sky, uniform_fog
 
 SEEDS = 16
 

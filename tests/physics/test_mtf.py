@@ -19,10 +19,10 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import photometry
+from synfog_usd.base import photometry
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.image import Image, Quantity
 
 pytestmark = pytest.mark.physics
 

@@ -18,11 +18,12 @@ import pytest
 import rawpy
 import tifffile
 
-from synfog_usd import camera, photometry, resources
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.graph import NodeGraph, make_graph
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.graph import NodeGraph, make_graph
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import read_raw, write_dng
+from synfog_usd.camera.writers import read_raw, write_dng
 
 pytestmark = pytest.mark.physics
 

@@ -24,9 +24,10 @@ import rawpy
 import tifffile
 from support import raws
 
-from synfog_usd import camera, resources, seeds
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import dng, write_dng, write_output
+from synfog_usd import camera
+from synfog_usd.base import resources, seeds
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.writers import dng, write_dng, write_output
 
 pytestmark = pytest.mark.physics
 

@@ -11,10 +11,11 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import camera, photometry, resources
+from synfog_usd import camera
+from synfog_usd.base import photometry, resources
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import distortion
-from synfog_usd.graph import NodeGraph
-from synfog_usd.image import Image, Quantity
+from synfog_usd.camera.graph import NodeGraph
 
 pytestmark = pytest.mark.physics
 

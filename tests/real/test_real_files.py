@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support import cli
 
-from synfog_usd.writers.exr import read_exr
+from synfog_usd.camera.writers.exr import read_exr
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "usd"
 SKY, ROAD, PERSON, CAR, TRUCK = 23, 7, 24, 26, 27

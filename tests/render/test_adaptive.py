@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.render.sampling import adaptive
 from synfog_usd.render.shot import render
-from synfog_usd.testing import scene, uniform_fog, wall
+from synfog_usd.scene.testing import scene, uniform_fog, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 FOGGY = scene({**SKY, "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()], fov_x_deg=40.0)

@@ -9,7 +9,7 @@ import trimesh
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
-from synfog_usd.testing import box, scene, uniform_fog, wall
+from synfog_usd.scene.testing import box, scene, uniform_fog, wall
 
 FLOAT32 = 4e-6
 """Relative error of a distance that Mitsuba holds in float32, with its ray offsets; measured 8e-7."""

@@ -8,12 +8,12 @@ import pytest
 from support.renders import by_seed
 from support.stats import assert_mean
 
-from synfog_usd import photometry
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands
-from synfog_usd.testing import box, scene, wall
+from synfog_usd.scene.testing import box, scene, wall
 
 SKY = {"light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}}
 COUNTS = [8, 16, 31]

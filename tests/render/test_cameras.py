@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 from support import renders
 from support.stats import assert_mean
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend
 from synfog_usd.render.film.aovs import measure
 from synfog_usd.render.motion import moved
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import PARALLEL_DEG
-from synfog_usd.testing import LOOK_NORTH, black, box, scene, uniform_fog, wall
+from synfog_usd.scene.testing import LOOK_NORTH, black, box, scene, uniform_fog, wall
 
 WIDTH_M = 8.0
 

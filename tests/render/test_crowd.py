@@ -10,7 +10,7 @@ from synfog_usd.render import backend, models
 from synfog_usd.render.flatten import flatten
 from synfog_usd.render.lights import crowd
 from synfog_usd.render.shot import load
-from synfog_usd.testing import black, scene, uniform_fog, wall
+from synfog_usd.scene.testing import black, scene, uniform_fog, wall
 
 SIZE_M = 0.1
 AREA_M2 = {"sphere": 4.0 * np.pi * SIZE_M**2, "disk": np.pi * SIZE_M**2, "rectangle": 4.0 * SIZE_M**2}

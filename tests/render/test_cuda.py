@@ -11,9 +11,9 @@ from support.cli import process
 from support.stages import street
 from support.stats import assert_agree
 
-from synfog_usd import writers
-from synfog_usd.errors import SynfogError
-from synfog_usd.image import Quantity
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.image import Quantity
+from synfog_usd.camera import writers
 from synfog_usd.render import backend, denoise
 
 SIZE = "32x18"

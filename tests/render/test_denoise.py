@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend, denoise, models, shot
 from synfog_usd.render.film.accumulator import HALVES, LIT, accumulate_by_estimator
 from synfog_usd.render.load import in_fog
 from synfog_usd.render.sampling.adaptive import FIRST, sensor_target
-from synfog_usd.testing import box, scene, uniform_fog
+from synfog_usd.scene.testing import box, scene, uniform_fog
 
 needs_oidn = pytest.mark.skipif(importlib.util.find_spec("pyoidn") is None, reason="pyoidn has no wheel here")
 
@@ -729,8 +729,8 @@ def real(name, folder):
 
 
 def translated(name):
-    from synfog_usd import resources
     from synfog_usd import stage as usd
+    from synfog_usd.base import resources
     from synfog_usd.translate import translate
 
     return translate(usd.open_stage(resources.folder("stages") / "bench" / f"{name}.usda"), resolution=(64, 36))

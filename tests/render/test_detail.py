@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from synfog_usd.render import detail, flatten
-from synfog_usd.testing import scene
+from synfog_usd.scene.testing import scene
 
 
 def ball(subdivisions=5):

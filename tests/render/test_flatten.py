@@ -13,8 +13,8 @@ from synfog_usd.render import flatten, surface
 from synfog_usd.render.film import aovs
 from synfog_usd.render.placed import PlacedScene
 from synfog_usd.render.shot import load, render
-from synfog_usd.testing import scene, sky
-from synfog_usd.transmittance import boxes_of
+from synfog_usd.scene.testing import scene, sky
+from synfog_usd.scene.transmittance import boxes_of
 
 
 def part(mesh, material, **more):

@@ -15,7 +15,7 @@ from synfog_usd.render.lights.importance import PICKS, Importance
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.sobol import Sobol
-from synfog_usd.testing import box, scene, wall
+from synfog_usd.scene.testing import box, scene, wall
 
 COUNT = 30
 FEW = 12

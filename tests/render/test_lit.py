@@ -11,7 +11,7 @@ from support.stats import assert_agree, assert_mean
 from synfog_usd.render import backend, models
 from synfog_usd.render.film.accumulator import LIT, SURFACE, SURFACE_OF_LAMPS, add_samples, new_accumulator
 from synfog_usd.render.shot import load
-from synfog_usd.testing import black, scene, sky, uniform_fog, wall
+from synfog_usd.scene.testing import black, scene, sky, uniform_fog, wall
 
 BALL_M, RADIUS_M = 4.0, 1.0
 """From the eye to the middle of a ball, and its radius."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from synfog_usd.render.load import to_mitsuba
-from synfog_usd.testing import black, scene, sky, wall
+from synfog_usd.scene.testing import black, scene, sky, wall
 
 
 def test_lights_are_chosen_by_the_root_of_their_flux_and_the_sky_keeps_its_share():

@@ -12,7 +12,7 @@ from synfog_usd.render.integrators import next_event
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.shot import load
-from synfog_usd.testing import black, box, scene, wall
+from synfog_usd.scene.testing import black, box, scene, wall
 
 SIGMA_T, G = 0.002, 0.8
 

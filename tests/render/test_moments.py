@@ -10,7 +10,7 @@ from synfog_usd.render import moments
 from synfog_usd.render.denoise import Guides, available
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import PARALLEL_DEG
-from synfog_usd.testing import black, scene, wall
+from synfog_usd.scene.testing import black, scene, wall
 
 STEPS = 33
 WIDTH_M = 8.0

@@ -8,7 +8,7 @@ from support.stats import assert_agree
 from synfog_usd.render import backend
 from synfog_usd.render.lights.panes import MOST_PASSED, Panes
 from synfog_usd.render.shot import load
-from synfog_usd.testing import black, scene, sky, uniform_fog, wall
+from synfog_usd.scene.testing import black, scene, sky, uniform_fog, wall
 
 OPACITY = 0.35
 GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5] * 3}}

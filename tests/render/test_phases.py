@@ -12,7 +12,7 @@ from synfog_usd.fog.phase import Droplets, HenyeyGreenstein, Tabulated
 from synfog_usd.render import backend
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.render.media.phases import kernel_phase, plugin
-from synfog_usd.testing import black, box, scene
+from synfog_usd.scene.testing import black, box, scene
 
 FORWARD = (0.36, -0.48, 0.8)
 
@@ -269,7 +269,7 @@ from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.render.media.phases import kernel_phase
-from synfog_usd.testing import box, scene
+from synfog_usd.scene.testing import box, scene
 draw = np.random.default_rng(1)
 for record in (Droplets(10.0), HenyeyGreenstein(-0.6)):
     phase = kernel_phase(record)

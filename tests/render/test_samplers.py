@@ -17,7 +17,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.lights import sampler as light_sampler
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
-from synfog_usd.testing import box
+from synfog_usd.scene.testing import box
 
 COUNT = 400_000
 EYE = np.array([0.0, 0.0, 1.5])

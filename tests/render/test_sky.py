@@ -12,7 +12,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.integrators import next_event
 from synfog_usd.render.lights.sky import STEPS, SkyTable
 from synfog_usd.render.sampling.sobol import Sobol
-from synfog_usd.testing import scene, sky
+from synfog_usd.scene.testing import scene, sky
 
 DRAWN = 400_000
 UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * np.array([[1.0], [-1.0], [1.0], [1.0]])

@@ -8,13 +8,13 @@ import colour
 import numpy as np
 import pytest
 
-from synfog_usd import photometry, spectra
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base import photometry, spectra
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands, bsdfs
 from synfog_usd.scene import mean_colour, texels
-from synfog_usd.testing import box, scene, wall
+from synfog_usd.scene.testing import box, scene, wall
 
 WAVELENGTHS = photometry.WAVELENGTHS_NM
 BLUE, RED = (0.018, 0.055, 0.19), (0.33, 0.012, 0.012)

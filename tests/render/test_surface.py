@@ -8,7 +8,7 @@ from support.stats import assert_draws
 from synfog_usd.render import backend, surface
 from synfog_usd.render.load import make_bsdf
 from synfog_usd.render.shot import render
-from synfog_usd.testing import scene
+from synfog_usd.scene.testing import scene
 
 PARTS = {
     "plain": {"roughness": 0.5},

@@ -8,13 +8,13 @@ from support import renders
 from support.renders import by_seed
 from support.stats import assert_agree, assert_mean
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.render import backend, models
 from synfog_usd.render.film import accumulator
 from synfog_usd.render.integrators import next_event, tasks
 from synfog_usd.render.shot import Settings, load, picture_bytes, render
-from synfog_usd.testing import black, box, scene, uniform_fog, wall
+from synfog_usd.scene.testing import black, box, scene, uniform_fog, wall
 
 MODELS = ["path", "volpath"]
 

@@ -11,7 +11,7 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import DIRECT
 from synfog_usd.render.integrators import next_event
 from synfog_usd.render.shot import render
-from synfog_usd.testing import black, scene, uniform_fog, wall
+from synfog_usd.scene.testing import black, scene, uniform_fog, wall
 
 RADIANCE = 5000.0
 SIZE, FOV_DEG, MOR_M = (24, 14), 20.0, 150.0

@@ -10,8 +10,8 @@ import pytest
 from support.cli import process
 from support.stages import street
 
-from synfog_usd.errors import SetError
-from synfog_usd.sets import cluster
+from synfog_usd.base.errors import SetError
+from synfog_usd.dataset.sets import cluster
 
 pytest.importorskip("dask_jobqueue")
 
@@ -29,7 +29,7 @@ job_extra_directives: ["--exclusive=user"]
 SCRIPT = """
 import sys
 from pathlib import Path
-from synfog_usd.sets.cluster import batch_cluster
+from synfog_usd.dataset.sets.cluster import batch_cluster
 with batch_cluster(Path(sys.argv[1])) as (found, jobs):
     print(jobs)
     print(found.job_script())

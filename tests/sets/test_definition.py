@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from support.stages import street
 
-from synfog_usd.errors import SynfogError
-from synfog_usd.sets.definition import load_set, make_set, shipped
-from synfog_usd.sets.scenes import scenes
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.dataset.sets.definition import load_set, make_set, shipped
+from synfog_usd.dataset.sets.scenes import scenes
 
 SMALL = """\
 synfog: set/1

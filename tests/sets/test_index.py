@@ -2,8 +2,8 @@
 
 import pytest
 
-from synfog_usd.errors import OutputError, ParameterError
-from synfog_usd.sets import index, layout
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.dataset.sets import index, layout
 
 pytest.importorskip("pyarrow")
 

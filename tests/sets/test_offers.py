@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from synfog_usd.errors import SetError
-from synfog_usd.sets import index, offers
-from synfog_usd.sets.definition import make_set
-from synfog_usd.sets.scenes import scenes
+from synfog_usd.base.errors import SetError
+from synfog_usd.dataset.sets import index, offers
+from synfog_usd.dataset.sets.definition import make_set
+from synfog_usd.dataset.sets.scenes import scenes
 from tests.support.cli import run
 
 STAGE = """#usda 1.0

@@ -15,7 +15,7 @@ import pytest
 from support.cli import command, process, run
 from support.stages import street
 
-from synfog_usd.sets import index
+from synfog_usd.dataset.sets import index
 
 pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
@@ -146,9 +146,9 @@ def test_the_guessed_fog_is_the_models_formula(whole, tmp_path):
     """J t + A (1 - t) of the clear frame and the exact transmittance, worked out here: developed, the same picture."""
     import numpy as np
 
-    from synfog_usd import writers
+    from synfog_usd.base.image import Quantity
+    from synfog_usd.camera import writers
     from synfog_usd.fog.airlight import estimated_airlight
-    from synfog_usd.image import Quantity
 
     out, _, _ = whole
     guessed = next(one for one in index.pictures(out) if one.pipeline == "asm_estimated.noise_free")

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd.sets.definition import load_set, make_set
-from synfog_usd.sets.scenes import even, held_out, scene, scenes
+from synfog_usd.dataset.sets.definition import load_set, make_set
+from synfog_usd.dataset.sets.scenes import even, held_out, scene, scenes
 from synfog_usd.world.compose import draw
 
 

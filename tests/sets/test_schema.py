@@ -6,9 +6,9 @@ import jsonschema
 import pytest
 import yaml
 
-from synfog_usd.errors import SynfogError
-from synfog_usd.sets import schema
-from synfog_usd.sets.definition import make_set, shipped
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.dataset.sets import schema
+from synfog_usd.dataset.sets.definition import make_set, shipped
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,7 +22,7 @@ def validator():
 
 def test_the_schema_is_fresh():
     stale = (ROOT / "docs/reference/set.schema.json").read_text(encoding="utf-8") != schema.text()
-    assert not stale, "run: python -m synfog_usd.sets.schema > docs/reference/set.schema.json"
+    assert not stale, "run: python -m synfog_usd.dataset.sets.schema > docs/reference/set.schema.json"
 
 
 @pytest.mark.parametrize("name, path", shipped().items())

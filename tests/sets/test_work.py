@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from synfog_usd import isolated, system
-from synfog_usd.sets import cluster, work
-from synfog_usd.sets.layout import Unit
-from synfog_usd.sets.work import Child, Job, do
+from synfog_usd.base import isolated, system
+from synfog_usd.dataset.sets import cluster, work
+from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.dataset.sets.work import Child, Job, do
 
 TELL = "import json, os; print(json.dumps({}))"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage import crate, open_stage
 
 REPOSITORY = Path(__file__).resolve().parents[2]

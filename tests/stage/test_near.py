@@ -3,7 +3,7 @@
 import pytest
 from pxr import Usd, UsdGeom, UsdLux
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage import keep_near, open_stage, select
 from synfog_usd.translate import summary, translate
 

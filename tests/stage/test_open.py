@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pxr import Usd, UsdGeom
 
+from synfog_usd.base.errors import StageError
 from synfog_usd.cli.main import app
-from synfog_usd.errors import StageError
 from synfog_usd.stage import (
     cameras,
     composition_notes,

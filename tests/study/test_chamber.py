@@ -9,15 +9,15 @@ from scipy import stats
 from support import cli
 
 from assets.builders import chambers
-from synfog_usd import resources
-from synfog_usd.errors import StageError
+from synfog_usd.base import resources
+from synfog_usd.base.errors import StageError
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein
+from synfog_usd.lab.study import chamber as study
+from synfog_usd.lab.study.chamber import ChamberStudy, LaserRow, MeterReading, PatchRow, departures, single_into_disc
+from synfog_usd.lab.study.chamber_page import law_error, write
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
 from synfog_usd.stage import check, open_stage
-from synfog_usd.study import chamber as study
-from synfog_usd.study.chamber import ChamberStudy, LaserRow, MeterReading, PatchRow, departures, single_into_disc
-from synfog_usd.study.chamber_page import law_error, write
 
 STAGES = resources.folder("stages")
 NAMES = ("chamber", "chambers/cerema_tunnel", "chambers/jari_hall")

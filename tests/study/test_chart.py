@@ -9,13 +9,13 @@ import pytest
 from support import cli
 from support.stages import street
 
-from synfog_usd.seeds import stream
-from synfog_usd.study import page
-from synfog_usd.study.accuracy import combine, compare, flip, mottle
-from synfog_usd.study.chart import enough
-from synfog_usd.study.drawing import draw_chart, draw_suite, themed
-from synfog_usd.study.pages.report import BEGIN, END, report
-from synfog_usd.study.points import Point, front, price, read, summary, table
+from synfog_usd.base.seeds import stream
+from synfog_usd.lab.study import page
+from synfog_usd.lab.study.accuracy import combine, compare, flip, mottle
+from synfog_usd.lab.study.chart import enough
+from synfog_usd.lab.study.drawing import draw_chart, draw_suite, themed
+from synfog_usd.lab.study.pages.report import BEGIN, END, report
+from synfog_usd.lab.study.points import Point, front, price, read, summary, table
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]

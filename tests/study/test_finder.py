@@ -10,11 +10,11 @@ import pytest
 import yaml
 from PIL import Image as Picture
 
-from synfog_usd import files, seeds
-from synfog_usd.benchmark import coco, decode, detectors, methods
-from synfog_usd.benchmark.detect import FoggedView, LabelledThing
-from synfog_usd.errors import ParameterError
-from synfog_usd.study import finder, networks, training
+from synfog_usd.base import files, seeds
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.lab.benchmark import coco, decode, detectors, methods
+from synfog_usd.lab.benchmark.detect import FoggedView, LabelledThing
+from synfog_usd.lab.study import finder, networks, training
 
 CLASSES = ("car", "person")
 
@@ -171,8 +171,8 @@ def test_the_same_seed_gives_the_same_weights(small, tmp_path):
 def test_painted_boxes_are_found_through_the_bench(small, tmp_path):
     """Trained on forty pictures it finds both boxes of others that it never saw, three quarters of each box right."""
     pytest.importorskip("onnxscript")
-    from synfog_usd.benchmark.detectors import chosen
-    from synfog_usd.benchmark.worker import MethodWorker
+    from synfog_usd.lab.benchmark.detectors import chosen
+    from synfog_usd.lab.benchmark.worker import MethodWorker
 
     trained = finder.train([painted(tmp_path, number) for number in range(40)], CLASSES, steps=250)
     finder.write(trained, tmp_path / "out")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from support import cli
 
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.seeds import stream
-from synfog_usd.study.noise import (
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.seeds import stream
+from synfog_usd.camera.writers import write_exr
+from synfog_usd.lab.study.noise import (
     NUMBERS,
     BinnedMeans,
     NoiseStudy,
@@ -21,7 +22,6 @@ from synfog_usd.study.noise import (
     study,
     transfer_curve,
 )
-from synfog_usd.writers import write_exr
 
 SIZE = (96, 128)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synfog_usd.errors import ParameterError
-from synfog_usd.study.pages import recipes
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.lab.study.pages import recipes
 
 
 def test_the_sheet_shows_all_pictures_by_name_in_rows_of_two(tmp_path):

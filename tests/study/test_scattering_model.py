@@ -9,12 +9,12 @@ import pytest
 from colour import cctf_decoding, cctf_encoding
 from support import cli
 
-from synfog_usd import seeds
-from synfog_usd.benchmark import metrics
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.study.scattering_model import DEPTHS, ScatteringStudy, ShotErrors, crossing, models, study
-from synfog_usd.writers import write_exr
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.writers import write_exr
+from synfog_usd.lab.benchmark import metrics
+from synfog_usd.lab.study.scattering_model import DEPTHS, ScatteringStudy, ShotErrors, crossing, models, study
 
 AIRLIGHT = np.array([90.0, 100.0, 110.0])
 HEIGHT, WIDTH = 60, 80

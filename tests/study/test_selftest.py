@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from synfog_usd.cli.main import app
+from synfog_usd.lab.study import cases, selftest
 from synfog_usd.render import backend, models
-from synfog_usd.study import cases, selftest
 
 
 @pytest.fixture(scope="module", autouse=True)

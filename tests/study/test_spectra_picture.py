@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synfog_usd.study.pages import spectra
+from synfog_usd.lab.study.pages import spectra
 
 
 def test_daylight_shows_the_cards_alike_in_r_g_and_b_and_in_bands_and_sodium_does_not():

@@ -9,12 +9,13 @@ import pytest
 from PIL import Image as Picture
 from support import cli, raws
 
-from synfog_usd import seeds, writers
-from synfog_usd.benchmark import statistics
-from synfog_usd.errors import ParameterError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.sets import layout
-from synfog_usd.study import sources, training
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import writers
+from synfog_usd.dataset.sets import layout
+from synfog_usd.lab.benchmark import statistics
+from synfog_usd.lab.study import sources, training
 
 WIDE, HIGH = 32, 24
 T, AIR = 0.5, 0.7
@@ -24,7 +25,7 @@ T, AIR = 0.5, 0.7
 def whole(tmp_path_factory):
     """Four scenes of flat fog J t + A (1 - t) over pictures by chance, by three pipelines; RAW of grey."""
     pytest.importorskip("pyarrow")
-    from synfog_usd.sets import index
+    from synfog_usd.dataset.sets import index
 
     out, rows = tmp_path_factory.mktemp("training") / "set", []
     for scene in range(4):
@@ -141,8 +142,8 @@ def test_without_torch_a_line_names_the_extra(whole, tmp_path, monkeypatch, word
 def test_what_is_written_is_a_method_of_the_defogging_bench(whole, tmp_path, small, taken):
     """The ONNX file gives what the weights give, to a level, through the child that the bench asks, at another size."""
     pytest.importorskip("onnxscript")
-    from synfog_usd.benchmark.methods import chosen
-    from synfog_usd.benchmark.worker import MethodWorker
+    from synfog_usd.lab.benchmark.methods import chosen
+    from synfog_usd.lab.benchmark.worker import MethodWorker
 
     out = tmp_path / "out"
     done = cli.run("train", "defog", whole, "-o", out, "--input", taken, "--steps", "5")

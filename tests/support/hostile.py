@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from support.stages import street
-from synfog_usd.errors import SynfogError
+from synfog_usd.base.errors import SynfogError
 from synfog_usd.stage import check, open_stage, select, stage_hash, variants
 from synfog_usd.translate import translate
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from synfog_usd import system
+from synfog_usd.base import system
 
 T = TypeVar("T")
 

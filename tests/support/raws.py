@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd import seeds
-from synfog_usd.image import Image, Quantity
+from synfog_usd.base import seeds
+from synfog_usd.base.image import Image, Quantity
 
 ORDER = "RGBCI"
 D65_XYZ = np.array([0.95047, 1.0, 1.08883])

@@ -102,8 +102,8 @@ def leave(image, reference, error, **more):
 
     All as `evidence.npz`; what has rows and columns as EXR, too.
     """
-    from synfog_usd.image import Image, Quantity
-    from synfog_usd.writers import write_exr
+    from synfog_usd.base.image import Image, Quantity
+    from synfog_usd.camera.writers import write_exr
 
     name = re.sub(r"[^\w.\[\]-]+", "_", os.environ.get("PYTEST_CURRENT_TEST", "no test").rsplit(" (", 1)[0])
     folder = FAILED / name

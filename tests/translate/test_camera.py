@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 
+from synfog_usd.base.errors import ParameterError, StageError
 from synfog_usd.dataset.plan import BakePlan
-from synfog_usd.errors import ParameterError, StageError
 from synfog_usd.stage.open import override
 from synfog_usd.translate import translate
 

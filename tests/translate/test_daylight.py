@@ -7,7 +7,7 @@ import OpenImageIO
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdLux
 
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import outdoors, translate, why_black
 
 

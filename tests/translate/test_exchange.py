@@ -7,8 +7,8 @@ import pytest
 from pxr import Usd
 from support.stages import street
 
-from synfog_usd import resources
 from synfog_usd import stage as usd
+from synfog_usd.base import resources
 from synfog_usd.fog import Fog
 from synfog_usd.translate import Exchange, translate
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate.ies import parse
 
 

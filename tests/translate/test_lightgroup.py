@@ -3,7 +3,7 @@
 import pytest
 from pxr import Sdf, Usd
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate.lightgroup import authored_group, group_by_label
 
 

@@ -14,7 +14,7 @@ import OpenImageIO
 import pytest
 from pxr import Sdf, Usd, UsdShade
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage import check, open_stage, select, stage_hash
 from synfog_usd.stage.open import composition_notes, dependencies
 from synfog_usd.translate import translate

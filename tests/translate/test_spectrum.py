@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
-from synfog_usd import spectra
+from synfog_usd.base import spectra
 from synfog_usd.scene import mean_colour
 from synfog_usd.translate import translate
 from synfog_usd.translate.texture import linear

@@ -6,7 +6,7 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import translate
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume
 from synfog_usd.fog.phase import Droplets
+from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
-from synfog_usd.testing import box
 from synfog_usd.translate import translate, volume
 
 TYPES = Sdf.ValueTypeNames

@@ -5,7 +5,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 from support.calls import calls
 
-from synfog_usd.errors import StageError
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate import summary, translate
 
 

@@ -10,7 +10,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdValidation
 
 from assets.builders import buildings, crossing, furniture, ground, noise, skies, solids, textures
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.translate import ies
 from synfog_usd.world import shapes
 from synfog_usd.world.components import write_component

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd import resources
+from synfog_usd.base import resources
 from synfog_usd.world.compose import draw, load
 
 RECIPES = sorted((resources.folder("stages") / "recipes").glob("*.yaml"))

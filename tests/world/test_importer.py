@@ -13,7 +13,7 @@ import trimesh
 from pxr import Sdf, Usd, UsdGeom, UsdMedia, UsdShade, UsdValidation
 from support import cli
 
-from synfog_usd.errors import OutputError, ParameterError, StageError
+from synfog_usd.base.errors import OutputError, ParameterError, StageError
 from synfog_usd.world import meshfiles
 from synfog_usd.world.importer import import_asset
 from synfog_usd.world.library import library

@@ -11,8 +11,8 @@ from pxr import Usd, UsdGeom, UsdLux
 from scipy.interpolate import RegularGridInterpolator
 
 from assets.builders import lamps as beams
-from synfog_usd import photometry
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import photometry
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import light, lightgroup
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.world import lamps

@@ -8,7 +8,7 @@ import pytest
 import shapely
 from pxr import Usd, UsdGeom
 
-from synfog_usd import resources
+from synfog_usd.base import resources
 from synfog_usd.world import authoring
 from synfog_usd.world.compose import draw, load
 from synfog_usd.world.library import model

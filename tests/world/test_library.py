@@ -14,8 +14,8 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdMedia, UsdShade, UsdUtils, UsdValidation
 
 from assets.builders import homesteads, roadside, solids
-from synfog_usd import cityscapes
-from synfog_usd.errors import StageError
+from synfog_usd.base import cityscapes
+from synfog_usd.base.errors import StageError
 from synfog_usd.translate import ies
 from synfog_usd.world import lod, sheet
 from synfog_usd.world.components import Component, write_component

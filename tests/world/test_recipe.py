@@ -13,8 +13,8 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdUtils
 from support import cli
 
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.cli.main import main
-from synfog_usd.errors import RecipeError
 from synfog_usd.world.compose import asset_folder, compose, draw, load
 from synfog_usd.world.language import Distribution
 from synfog_usd.world.roads import crossing_actors

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world import parameters, reference
 from synfog_usd.world.compose import load
 from synfog_usd.world.language import Continuous

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 from support import cli
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.dataset import sheet
-from synfog_usd.errors import ParameterError
 
 RECIPES = Path(__file__).resolve().parents[2] / "stages" / "recipes"
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
-from synfog_usd.study.pages import worlds
+from synfog_usd.lab.study.pages import worlds
 from synfog_usd.world import language, parameters
 from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.lamps import lamp_of

@@ -17,8 +17,8 @@ from support import sight
 from support.outlines import apart, outline
 from support.sight import model as shape
 
-from synfog_usd.cityscapes import LABELS
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.cityscapes import LABELS
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import asphalt, horizon, land, markings, rules, surface, traffic

@@ -16,8 +16,8 @@ from support import outlines, sight
 from support.outlines import apart
 from support.sight import model as shape
 
-from synfog_usd.cityscapes import LABELS
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.cityscapes import LABELS
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import horizon, roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.lane_section import KERB_M

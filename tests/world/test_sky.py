@@ -13,7 +13,7 @@ from assets.builders import __main__ as builders
 from assets.builders import daylight
 from assets.builders import skies as sky
 from assets.builders.textures import ORIGIN
-from synfog_usd.errors import ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.world import lamps, skies
 
 ROOT = Path(__file__).resolve().parents[2]

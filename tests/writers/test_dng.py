@@ -10,12 +10,13 @@ import rawpy
 import tifffile
 from support import raws
 
-from synfog_usd import camera, resources, seeds
+from synfog_usd import camera
+from synfog_usd.base import resources, seeds
+from synfog_usd.base.errors import ImageError, OutputError
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, isp, response, sensor
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.errors import ImageError, OutputError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import dng, write_dng
+from synfog_usd.camera.writers import dng, write_dng
 
 D65, A = 21, 17
 """Calibration illuminants, by their Exif LightSource numbers."""

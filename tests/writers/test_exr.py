@@ -8,10 +8,10 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from synfog_usd import seeds
-from synfog_usd.errors import ImageError, OutputError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import read_exr, write_exr
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError, OutputError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.writers import read_exr, write_exr
 
 
 def image(channels=("R", "G", "B"), quantity=Quantity.RADIANCE, shape=(11, 17), **provenance) -> Image:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from synfog_usd import seeds
-from synfog_usd.errors import ImageError, OutputError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import write_output
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError, OutputError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.writers import write_output
 
 LOW = {10: 2, 12: 4, 14: 6}
 GROUP = {10: (4, 5), 12: (2, 3), 14: (4, 7)}

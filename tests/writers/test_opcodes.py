@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import tifffile
 
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.optics import falloff_map
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import write_output
-from synfog_usd.writers.opcodes import opcode_list
+from synfog_usd.camera.writers import write_output
+from synfog_usd.camera.writers.opcodes import opcode_list
 
 HEIGHT, WIDTH = 480, 640
 MATRIX = [[500.0, 0.0, 330.0], [0.0, 500.0, 230.0], [0.0, 0.0, 1.0]]

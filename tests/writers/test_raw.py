@@ -9,10 +9,11 @@ import pytest
 import rawpy
 from support import cli, raws
 
-from synfog_usd import camera, seeds, writers
-from synfog_usd.camera import cfa
-from synfog_usd.errors import ImageError
-from synfog_usd.image import Image, Quantity
+from synfog_usd import camera
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import cfa, writers
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,8 @@ import pytest
 import tifffile
 from support import cli
 
-from synfog_usd import writers
-from synfog_usd.camera import isp
-from synfog_usd.errors import ImageError
+from synfog_usd.base.errors import ImageError
+from synfog_usd.camera import isp, writers
 
 NEUTRAL = np.array([0.5, 1.0, 0.625])
 PATTERN = np.array([[0, 1], [1, 2]])

@@ -15,10 +15,10 @@ import tifffile
 from PIL import Image as Pillow
 from support import raws
 
-from synfog_usd import seeds
-from synfog_usd.errors import ImageError, OutputError
-from synfog_usd.image import Image, Quantity
-from synfog_usd.writers import read_exr, write_jxl, write_output, write_png, write_tiff
+from synfog_usd.base import seeds
+from synfog_usd.base.errors import ImageError, OutputError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.writers import read_exr, write_jxl, write_output, write_png, write_tiff
 
 
 def picture(channels=("R", "G", "B"), quantity=Quantity.DISPLAY_RGB, shape=(37, 53), scale=1.0) -> Image:

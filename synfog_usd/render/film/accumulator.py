@@ -19,13 +19,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from synfog_usd import numbers
-from synfog_usd.arrays import Array, FloatArray, Indices
-from synfog_usd.progress import Progress, silent, within
+from synfog_usd.base import numbers
+from synfog_usd.base.arrays import Array, FloatArray, Indices
+from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
 from synfog_usd.render.dualbuffer import mottle
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.seeds import seed32
 
 CHUNK = 16
 """Paths that one lane traces one after the other, and that are summed in float32."""

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array, Flags, Indices, distinct
+from synfog_usd.base.arrays import Array, Flags, Indices, distinct
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.progress import Progress, silent
 from synfog_usd.fog.volume import optical_depth
-from synfog_usd.image import Image, Quantity
-from synfog_usd.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
 from synfog_usd.render.placed import PlacedScene

@@ -36,7 +36,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.progress import Progress, silent
+from synfog_usd.base.progress import Progress, silent
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import (
     AOVS,

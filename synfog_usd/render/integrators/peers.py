@@ -12,16 +12,16 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import ParameterError
-from synfog_usd.progress import Progress, silent
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import Accumulator, undivided
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.integrators.path import RR_DEPTH
 from synfog_usd.render.load import MitsubaScene, make_sensor
 from synfog_usd.render.motion import moved
-from synfog_usd.seeds import seed32
 
 LANES_PER_PASS = 1 << 21
 """Paths in flight at once; measured 0.2 GB above the scene in `volpath`."""

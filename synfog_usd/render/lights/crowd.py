@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.scene import MANY_LIT, SceneDict, lit_kind
 
 NEAREST = 96

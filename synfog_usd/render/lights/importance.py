@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.render import backend
 from synfog_usd.render.lights.rows import summaries
 from synfog_usd.render.media.medium import Medium

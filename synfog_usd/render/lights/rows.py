@@ -13,8 +13,8 @@ from typing import Any, Generic, TypeVar
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 

@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light

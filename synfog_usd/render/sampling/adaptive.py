@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.arrays import Array
-from synfog_usd.progress import Progress, silent, within
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import Error, mottle
 from synfog_usd.render.film.accumulator import (
     CHUNK,

@@ -18,12 +18,12 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from synfog_usd import photometry
-from synfog_usd.arrays import Array
-from synfog_usd.colour import LUMINANCE
-from synfog_usd.errors import ParameterError
+from synfog_usd.base import photometry
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.numbers import RGB, check_bands
 from synfog_usd.fog import FogVolume
-from synfog_usd.numbers import RGB, check_bands
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs

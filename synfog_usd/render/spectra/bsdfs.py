@@ -25,9 +25,9 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd import photometry, spectra
-from synfog_usd.arrays import Array, FloatArray, Indices
-from synfog_usd.colour import LUMINANCE
+from synfog_usd.base import photometry, spectra
+from synfog_usd.base.arrays import Array, FloatArray, Indices
+from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, make_bsdf
 from synfog_usd.scene import base_colour, mean_colour, recoloured, texels

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road

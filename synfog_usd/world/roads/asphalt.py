@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.materials import PALETTE, Material
 from synfog_usd.world.roads.lane_section import DRIVEN, PAVED
 from synfog_usd.world.roads.network import Road

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.language import Distribution, Recipe
 from synfog_usd.world.library import LibraryModel, nominal
 from synfog_usd.world.roads import crossing_props, people, rules, traffic

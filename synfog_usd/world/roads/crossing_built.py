@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.library import nominal
 from synfog_usd.world.roads import lanes
 from synfog_usd.world.roads.crossing import (

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world import library
 from synfog_usd.world.roads.crossing import NORTH, TREE_X, WALL_X, WALL_Y, ground_height
 from synfog_usd.world.spec import Placement, View

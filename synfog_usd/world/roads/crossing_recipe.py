@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from synfog_usd.seeds import seed32, stream
+from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import crossing_actors, crossing_props, rules, traffic

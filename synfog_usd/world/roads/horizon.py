@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.materials import Material
 from synfog_usd.world.shapes import Array, Index, Part, box, by_material, join, quad, quads, shift, tube, turn
 

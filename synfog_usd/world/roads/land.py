@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads.horizon import LAND_M, Horizon, Scatter, mixture
 from synfog_usd.world.roads.network import BEHIND_WALL_M, CUTTING_M, RIVER, Road
 from synfog_usd.world.roads.surface import GRASS_TILE_M, stations

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 
 KERB_M = 0.12
 PAVED = ("lane", "bus", "parking", "shoulder", "cycle")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.world.roads import surface
 from synfog_usd.world.roads.network import Road
 

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.arrays import Array
-from synfog_usd.seeds import stream
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads.lane_section import DRIVEN, Lane, LaneSection
 from synfog_usd.world.roads.reference_line import ReferenceLine
 

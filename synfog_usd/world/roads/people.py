@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.parameters import WALKERS
 from synfog_usd.world.roads import rules

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import RecipeError
-from synfog_usd.seeds import seed32, stream
+from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.library import nominal

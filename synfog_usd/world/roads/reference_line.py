@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 
 STEP_M = 0.25
 

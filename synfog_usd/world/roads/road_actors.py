@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import RecipeError
-from synfog_usd.seeds import stream
+from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import RAISED, Lane

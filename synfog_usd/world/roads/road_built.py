@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.arrays import Array
+from synfog_usd.base.arrays import Array
 from synfog_usd.world.roads import horizon, land, lanes, markings, rules, structures, surface, works
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes

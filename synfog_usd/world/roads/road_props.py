@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.language import Recipe, Row
 from synfog_usd.world.roads import props, rules
 from synfog_usd.world.roads.lane_section import PAVED

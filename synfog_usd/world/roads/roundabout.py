@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
-from synfog_usd.arrays import Array
-from synfog_usd.errors import RecipeError
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import BLEND_M, Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import people, rules, traffic

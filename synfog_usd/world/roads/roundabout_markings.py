@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads import markings
 from synfog_usd.world.roads.lane_section import Lane
 from synfog_usd.world.roads.markings import THICK_M, TILE_M

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.errors import RecipeError
-from synfog_usd.seeds import seed32, stream
+from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Distribution, Recipe
 from synfog_usd.world.roads import actors, props, roundabout_actors, rules

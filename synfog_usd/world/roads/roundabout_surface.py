@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
-from synfog_usd.seeds import seed32, stream
+from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M, Material
 from synfog_usd.world.roads import land
 from synfog_usd.world.roads.asphalt import Asphalt, puddles

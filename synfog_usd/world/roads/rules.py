@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from synfog_usd import resources
-from synfog_usd.arrays import Array
-from synfog_usd.errors import RecipeError, did_you_mean
+from synfog_usd.base import resources
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import RecipeError, did_you_mean
 from synfog_usd.world import library
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.spec import Placement, View

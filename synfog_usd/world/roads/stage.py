@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
 from synfog_usd.world.library import nominal

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M
 from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
 from synfog_usd.world.roads.lane_section import KERB_M, RAISED, Lane

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.seeds import stream
+from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.props import look

@@ -1,0 +1,1 @@
+"""What every room stands on: errors, seeds, images, spectra, files that appear whole, the fence round a stage."""

@@ -1,0 +1,295 @@
+"""Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the
+renderer.
+
+Takes numbers, or the text in which they are typed; raises for those out of range, in the words of the command line.
+Imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from synfog_usd.base.errors import ParameterError, did_you_mean
+
+SAMPLES = (2, 1 << 20)
+"""Paths per pixel; one has no variance."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a bake promises of its pictures.
+
+    Attributes:
+        promise: in words.
+        samples: paths per pixel at most.
+        error: relative error of the median pixel to stop at; None where samples or the sensor alone decide.
+        mottle: clouds that may be left, see `render.dualbuffer.mottle`; None likewise.
+        sensor: whether to stop where the sensor's noise hides what is left.
+        clean: whether pictures are denoised and mirrors before lamps regularized, see `render.shot.Settings`; without
+            both a picture converges to the truth.
+    """
+
+    promise: str
+    samples: int
+    error: float | None = None
+    mottle: float | None = None
+    sensor: bool = False
+    clean: bool = True
+
+
+QUALITIES = {
+    "draft": Quality("composition and light can be judged", samples=4),
+    "standard": Quality("nothing that a person sees at full size", samples=64, error=0.06, mottle=0.01),
+    "sensor": Quality("a RAW deviates at most 1.15 times what its sensor does", samples=128, sensor=True),
+    "reference": Quality("neither denoised nor regularized: it converges to the truth", samples=1024, clean=False),
+}
+"""By name, cheapest first."""
+
+STANDARD = "standard"
+
+RGB = 3
+"""Channels of a path that carries no wavelength bands."""
+
+BANDS = (8, 16, 31)
+"""Numbers of wavelength bands that there are."""
+
+LEAST_MOR_M = 0.03
+"""Visibility [m] of the densest fog, with an extinction of 100 1/m."""
+
+FOG_WORDS = ("albedo", "g", "phase", "diameter", "angstrom", "profile", "scale")
+"""What may stand behind the visibility in a fog's name, as in mor150_g0.8."""
+
+_FOG = re.compile(rf"mor(\d+(?:\.\d+)?)((?:_(?:{'|'.join(FOG_WORDS)})-?[a-z\d.]+)*)")
+
+UNITS_M = (1e-6, 1e3)
+"""Lengths of a stage's unit [m]: from micrometres to kilometres."""
+
+MOST_EV = 10.0
+"""Of stops by which a meter's exposure is changed."""
+
+MOST_LIGHT = 1e12
+"""Of a factor for all lights, and of the sun's illuminance [lx]."""
+
+
+def check_samples(samples: int, option: str = "--samples") -> None:
+    """Refuse a number of paths per pixel out of `SAMPLES`.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if not SAMPLES[0] <= samples <= SAMPLES[1]:
+        raise ParameterError(
+            f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 16 are a draft, 1024 are clean in dense fog"
+        )
+
+
+def check_quality(name: object, option: str = "--quality") -> None:
+    """Refuse a quality that does not exist.
+
+    Raises:
+        ParameterError: with those that do.
+    """
+    if not isinstance(name, str) or name not in QUALITIES:
+        raise ParameterError(
+            f"{option} {name}: not known; it takes {', '.join(QUALITIES)}.{did_you_mean(str(name), tuple(QUALITIES))}"
+        )
+
+
+def check_target(error: float | None) -> None:
+    """Refuse a relative error outside 0 to 1.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if error is not None and not 0.0 < error <= 1.0:
+        raise ParameterError(f"--target-error {error:g}: outside 0 to 1; 0.01 is 1 %")
+
+
+def check_bands(count: int) -> None:
+    """Refuse a number of bands that does not exist.
+
+    Raises:
+        ParameterError: with those that do.
+    """
+    if count not in (RGB, *BANDS):
+        raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))}")
+
+
+def check_light(*, scale: float, sun_lux: float | None) -> None:
+    """Refuse light that is none, or without end.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    for option, value in (("--light-scale", scale), ("--sun-lux", sun_lux)):
+        if value is not None and not 0.0 < value <= MOST_LIGHT:
+            raise ParameterError(
+                f"{option} {value:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are"
+            )
+    if sun_lux is not None and scale != 1.0:
+        raise ParameterError(
+            f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out"
+        )
+
+
+def fog_words(name: str) -> tuple[float, dict[str, str]] | None:
+    """Visibility [m] that a fog's name says to any stage, and what it says besides; None of a variant's name.
+
+    >>> fog_words("mor150"), fog_words("mor75.5_g0.8_scale20"), fog_words("dense")
+    ((150.0, {}), (75.5, {'g': '0.8', 'scale': '20'}), None)
+    """
+    if (match := _FOG.fullmatch(name)) is None or float(match[1]) == 0.0:
+        return None
+    said = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[2])
+    return float(match[1]), dict(said)
+
+
+def check_visibility(name: str, metres: float) -> None:
+    """Refuse a fog that is denser than any.
+
+    Args:
+        name: as it was typed.
+        metres: what it means, inf for clear air.
+
+    Raises:
+        ParameterError: with the least.
+    """
+    if not metres >= LEAST_MOR_M:
+        raise ParameterError(
+            f"--fog {name}: a visibility below {LEAST_MOR_M:g} m is a wall; the densest is mor{LEAST_MOR_M:g}"
+        )
+
+
+def check_space(*, metres_per_unit: float | None, up: str | None) -> None:
+    """Refuse a unit of no length, or an axis that is none.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    if metres_per_unit is not None and not UNITS_M[0] <= metres_per_unit <= UNITS_M[1]:
+        raise ParameterError(
+            f"--meters-per-unit {metres_per_unit:g}: outside {UNITS_M[0]:g} to {UNITS_M[1]:g}; 1 is metres, 0.01 "
+            f"centimetres, 0.0254 inches"
+        )
+    if up is not None and up not in ("X", "Y", "Z"):
+        raise ParameterError(f"--up {up}: it takes X, Y or Z")
+
+
+def check_distance(metres: float | None) -> None:
+    """Refuse a distance within which nothing can be.
+
+    Raises:
+        ParameterError: with the number.
+    """
+    if metres is not None and not 0.0 < metres < math.inf:
+        raise ParameterError(f"--max-distance {metres:g}: it takes metres above 0")
+
+
+def seconds_of(text: str, option: str = "--exposure") -> float:
+    """Seconds of 1/200, 0.005 or 5e-3.
+
+    Raises:
+        ParameterError: it is neither, or not above 0.
+
+    >>> seconds_of("1/200")
+    0.005
+    """
+    above, slash, below = text.partition("/")
+    try:
+        found = float(above) / (float(below) if slash else 1.0)
+    except (ValueError, ZeroDivisionError):
+        found = math.nan
+    if not 0.0 < found < math.inf:
+        raise ParameterError(f"{option} {text}: it takes seconds above 0, as 1/200 or 0.005")
+    return found
+
+
+def names_of(text: str | None, option: str) -> tuple[str, ...] | None:
+    """Names that stand between commas; None of None.
+
+    Raises:
+        ParameterError: there is none.
+
+    >>> names_of("clear, mor150", "--fog")
+    ('clear', 'mor150')
+    """
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise ParameterError(f"{option} {text!r}: no name in it; separate names by commas")
+    return names
+
+
+def counts_of(text: str, option: str) -> tuple[int, ...]:
+    """Whole numbers that stand between commas.
+
+    Raises:
+        ParameterError: they are none.
+    """
+    names = names_of(text, option) or ()
+    if not all(name.isdecimal() for name in names):
+        raise ParameterError(f"{option} {text}: not whole numbers separated by commas, as in 4,16,64")
+    return tuple(int(name) for name in names)
+
+
+def count_of(text: str, option: str) -> int:
+    """A whole number.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    if not text.isdecimal():
+        raise ParameterError(f"{option} {text}: not a whole number")
+    return int(text)
+
+
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """Width and height [px] of 640x360; None of None.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+        raise ParameterError(f"--resolution {text}: not WIDTHxHEIGHT with both from 1 to 16384, as in 640x360")
+    return int(width), int(height)
+
+
+def check_exposure(*, exposure_s: float | None, iso: float | None, ev: float) -> None:
+    """Refuse an exposure that no camera has; what its sensor does not do is refused once that is known.
+
+    Raises:
+        ParameterError: with the range.
+    """
+    for option, value in (("--exposure", exposure_s), ("--iso", iso)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise ParameterError(f"{option} {value:g}: it takes a number above 0")
+    if not abs(ev) <= MOST_EV:
+        raise ParameterError(f"--ev {ev:g}: outside -{MOST_EV:g} to {MOST_EV:g} stops; -1 is half of the light")
+    if ev != 0.0 and None not in (exposure_s, iso):
+        raise ParameterError(f"--ev {ev:g}: --exposure and --iso leave nothing to the meter; leave one of them out")
+
+
+def check_shutter(seconds: float | None) -> None:
+    """Refuse a time for which no shutter is open.
+
+    Raises:
+        ParameterError: with the number.
+    """
+    if seconds is not None and not 0.0 < seconds <= 60.0:
+        raise ParameterError(f"--shutter {seconds:g}: it takes seconds above 0, and 60 at most")
+
+
+def check_frame(frame: float | None) -> None:
+    """Refuse a time code that is no finite number.
+
+    Raises:
+        ParameterError: with the number.
+    """
+    if frame is not None and not math.isfinite(frame):
+        raise ParameterError(f"--frame {frame}: no finite number")

@@ -1,0 +1,296 @@
+"""The pictures of a set, or of a single bake, with all that is known of them; what every export reads.
+
+Depth is planar, along the optical axis (`depth.Z`); distance is along the ray (`distance.Z`).  Fog depends on distance.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.dataset import stereo
+from synfog_usd.dataset.rig import RIG
+from synfog_usd.dataset.sets import index
+from synfog_usd.dataset.sets.index import PictureKey
+
+LABELS_VERSION = 2
+SCREEN = (".png", ".jpg")
+ALL = "all"
+"""Split of a single bake."""
+
+
+@dataclass(frozen=True)
+class LabelledPicture(PictureKey):
+    """One shot as one pipeline shows it.
+
+    Attributes:
+        files: name -> path; labels.exr, labels.json, instances.json, radiance.exr, layers.exr, and
+            what the pipeline puts out.
+    """
+
+    files: Mapping[str, Path] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Its name among all pictures of the set; letters, digits, dots and hyphens."""
+        camera = self.camera.rpartition("/")[2]
+        parts = [f"{self.scene:06}", self.lighting, *([camera] if camera else []), self.fog, self.pipeline]
+        return "-".join(plain(part) for part in parts)
+
+    @property
+    def screen(self) -> Path:
+        """The picture for a screen: srgb.png, else the first PNG or JPEG.
+
+        Raises:
+            ParameterError: the pipeline wrote none.
+        """
+        found = [path for name, path in sorted(self.files.items()) if path.suffix in SCREEN and name != "contact.png"]
+        if "srgb.png" in self.files:
+            return self.files["srgb.png"]
+        if not found:
+            raise ParameterError(
+                f"{self.files['instances.json'].parent}: no .png or .jpg to export; give the pipeline "
+                f"{self.pipeline!r} such an output"
+            )
+        return found[0]
+
+    @property
+    def clear(self) -> bool:
+        """Whether there is no fog in it."""
+        return self.mor_m is None or not math.isfinite(self.mor_m)
+
+    @property
+    def beta(self) -> float:
+        """Extinction of the fog at eye level [1/m], -ln(0.05) / MOR; 0 in clear air."""
+        return 0.0 if self.clear else -math.log(0.05) / float(self.mor_m)  # type: ignore[arg-type]
+
+    @property
+    def labels(self) -> Labels:
+        """What is seen where."""
+        return read_labels(self.files["labels.exr"], self.files["labels.json"])
+
+    def instances(self) -> list[dict[str, Any]]:
+        """What is known of each instance that has pixels: its row of labels.json, and that of this shot's
+        instances.json.
+
+        Raises:
+            OutputError: a file is missing or damaged.
+        """
+        left = {row["id"]: row for row in _json(self.files["instances.json"])["instances"]}
+        return [{**left.get(row["id"], {}), **row} for row in self.labels.instances if row["pixels"]]
+
+    def transmittance(self) -> Array:
+        """(H, W) transmittance [1] from the camera to each pixel's surface, or to the end of the fog, in the picture's
+        own pixels.
+        """
+        from synfog_usd.base.image import Quantity
+        from synfog_usd.camera import writers
+        from synfog_usd.camera.distortion import Pinhole, warp_of
+
+        layers = writers.read_exr(self.files["layers.exr"], quantity=Quantity.DATA, channels=["transmittance.Y"])
+        plane = layers.pixels[:, :, 0]
+        labels = self.labels
+        if plane.shape == labels.instance.shape and not labels.metadata.get("warped"):
+            return plane
+        told = writers.read_exr(self.files["radiance.exr"]).provenance
+        rendered = Pinhole(*plane.shape, told["fov_x_deg"], (told["shift_x"], told["shift_y"]))
+        view = told.get("view")
+        taken = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
+        fit = labels.metadata.get("distortion_fit", "inside")
+        return plane[warp_of(rendered, tuple(labels.metadata["distortion_coefficients"]), fit, taken).nearest()]
+
+    def metadata(self) -> dict[str, Any]:
+        """What it is of, for records beside it."""
+        return {
+            "name": self.name,
+            "scene": self.scene,
+            "split": self.split,
+            "source": self.source,
+            "seed": self.seed,
+            "lighting": self.lighting,
+            "camera": self.camera,
+            "fog": self.fog,
+            "mor_m": None if self.clear else self.mor_m,
+            "pipeline": self.pipeline,
+        }
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What a camera sees of a scene, in clear air.
+
+    Attributes:
+        instance, semantic: (H, W) ids, and Cityscapes label ids.
+        depth_m, distance_m: (H, W) planar, and along the ray; infinite at the sky.
+        disparity_px: (H, W) of the left camera of a pair, see `dataset.stereo`, nan at the sky; None where it has no
+            right eye.
+        shared: (H, W) which of these points the right camera sees, too.
+        camera: of labels.json.
+        instances: its rows.
+        metadata: the rest of it.
+    """
+
+    instance: npt.NDArray[np.int64]
+    semantic: npt.NDArray[np.int64]
+    depth_m: Array
+    distance_m: Array
+    camera: Mapping[str, Any]
+    instances: list[dict[str, Any]]
+    metadata: Mapping[str, Any]
+    disparity_px: Array | None = None
+    shared: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.instance.shape[1], self.instance.shape[0]
+
+    @property
+    def lanes(self) -> list[dict[str, Any]]:
+        """What is known of each lane in the picture; without its edges in the world."""
+        return [
+            {name: value for name, value in row.items() if not name.endswith("_world_m")}
+            for row in self.metadata.get("lanes", ())
+        ]
+
+    def refuse_fisheye(self, layout: str) -> None:
+        """Refuse a picture whose camera a layout cannot tell.
+
+        Raises:
+            ParameterError: it is a fisheye's.
+        """
+        if self.camera.get("model") == "fisheye":
+            raise ParameterError(
+                f"{self.camera.get('path')}: {layout} knows pinholes alone, and this camera is a fisheye; export to "
+                f"coco, webdataset or huggingface, whose records say how it projects, or bake with a pinhole's pipeline"
+            )
+
+    def mask(self, instance: int) -> npt.NDArray[np.bool_]:
+        """(H, W) the visible pixels of an instance."""
+        return self.instance == instance
+
+
+@functools.lru_cache(maxsize=2)  # the fogs of a scene follow each other
+def read_labels(picture: Path, listing: Path) -> Labels:
+    """The labels of a scene, lighting and camera.
+
+    Raises:
+        OutputError: missing, damaged, or of an older version.
+    """
+    from synfog_usd.base.image import Quantity
+    from synfog_usd.camera import writers
+
+    names = ["instance.ID", "semantic.ID", "depth.Z", "distance.Z"]
+    told = _json(listing)
+    paired = "baseline_m" in told.get("stereo", {})
+    names += stereo.CHANNELS if paired else ()
+    planes = writers.read_exr(picture, quantity=Quantity.DATA, channels=names).pixels
+    if told.get("version", 0) < LABELS_VERSION or "camera" not in told:
+        raise OutputError(f"{listing}: labels of an older version, without camera and outlines; bake this scene again")
+    instance, semantic = (np.rint(planes[:, :, index]).astype(np.int64) for index in (0, 1))
+    rest = {name: value for name, value in told.items() if name not in ("camera", "instances")}
+    found = Labels(instance, semantic, planes[:, :, 2], planes[:, :, 3], told["camera"], told["instances"], rest)
+    if not paired:
+        return found
+    disparity = np.where(np.isfinite(found.depth_m), planes[:, :, 4], np.nan)
+    return replace(found, disparity_px=disparity, shared=planes[:, :, 5] == stereo.SEEN)
+
+
+def pictures(out: Path) -> Iterator[LabelledPicture]:
+    """Every picture of a set, or of a folder that `bake` left for one camera or several: that is scene 0 of the split
+    `all`.
+
+    Raises:
+        ParameterError: neither lies there.
+        OutputError: a damaged manifest.
+    """
+    if (out / "bake.json").is_file():
+        yield from _of_bake(out)
+        return
+    if (out / RIG).is_file():
+        for row in _json(out / RIG)["cameras"]:
+            yield from _of_bake(out / row["folder"], row["camera"])
+        return
+    for one in index.pictures(out):
+        yield LabelledPicture(
+            one.scene,
+            one.split,
+            one.source,
+            one.seed,
+            one.lighting,
+            one.camera,
+            one.fog,
+            one.mor_m,
+            one.pipeline,
+            one.files,
+        )
+
+
+def with_right(found: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPicture, LabelledPicture | None]]:
+    """Pictures with those of their right eyes, which are not told by themselves; None where a picture has none.
+
+    Args:
+        found: pictures in the order of a set: those of a scene follow each other.
+    """
+    for _, some in itertools.groupby(found, lambda picture: picture.scene):
+        scene = list(some)
+        told = {path: _json(path) for path in dict.fromkeys(one.files["labels.json"] for one in scene)}
+        labels = [told[one.files["labels.json"]] for one in scene]
+        keys = [(one.lighting, one.fog, one.pipeline) for one in scene]
+        eyes = {
+            (*key, said.get("camera", {}).get("path")): n
+            for n, (key, said) in enumerate(zip(keys, labels, strict=True))
+        }
+        pairs = [said.get("stereo", {}) for said in labels]
+        rights = [
+            eyes.get((*key, pair.get("right"))) if "baseline_m" in pair else None
+            for key, pair in zip(keys, pairs, strict=True)
+        ]
+        for number, (one, right) in enumerate(zip(scene, rights, strict=True)):
+            if number not in rights:
+                yield one, None if right is None else scene[right]
+
+
+def _of_bake(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
+    manifest = _json(out / "bake.json")
+    try:
+        source = Path(manifest["stage"]["name"]).stem
+        pipeline = Path(manifest["pipeline"]["name"]).stem
+        for row in manifest["shots"]:
+            folder = out / row["folder"]
+            found = {name: folder / name for name in row["files"]}
+            found |= {name: out / name for name in ("labels.exr", "labels.json", "bake.json")}
+            mor = row["mor_m"]
+            seed = manifest["plan"]["seed"]
+            yield LabelledPicture(0, ALL, source, seed, row["lighting"], camera, row["fog"], mor, pipeline, found)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise OutputError(f"{out / 'bake.json'}: no manifest of a bake ({error!r}); bake again") from error
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read ({error.strerror}); bake this scene again") from error
+    except ValueError as error:
+        raise OutputError(f"{path}: is no JSON ({error}); bake this scene again") from error
+    if not isinstance(found, dict):
+        raise OutputError(f"{path}: is no JSON object; bake this scene again")
+    return found
+
+
+def plain(text: str) -> str:
+    """A text as part of a file's name: letters, digits and dots, '_' for the rest."""
+    return re.sub(r"[^A-Za-z0-9.]+", "_", text).strip("_.") or "x"

@@ -1,0 +1,102 @@
+"""Virtual KITTI 2: a tree for each scene and variant, with text files of cameras, boxes and poses.
+
+A variant is a lighting and fog.  Frames count a scene's cameras and pipelines.  Depth is planar, in centimetres.
+Instance pictures hold trackID + 1, in 16 bits, since a street has more than 255; `trackID` is our instance id - 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from synfog_usd.base.cityscapes import LABELS
+from synfog_usd.dataset.exports import kitti, taxonomy
+from synfog_usd.dataset.exports.cityscapes import Names
+from synfog_usd.dataset.exports.folder import ExportFolder, quantised
+from synfog_usd.dataset.exports.frames import LabelledPicture, plain, with_right
+from synfog_usd.dataset.exports.record import Boxed
+
+STEPS_PER_M = 100.0
+HEADS = {
+    "intrinsic": "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]",
+    "extrinsic": "frame cameraID r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1",
+    "bbox": "frame cameraID trackID left right top bottom number_pixels truncation_ratio occupancy_ratio isMoving",
+    "pose": "frame cameraID trackID alpha width height length world_space_X world_space_Y world_space_Z "
+    "rotation_world_space_y rotation_world_space_x rotation_world_space_z camera_space_X camera_space_Y camera_space_Z "
+    "rotation_camera_space_y rotation_camera_space_x rotation_camera_space_z",
+    "info": "trackID label model color",
+}
+
+
+def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed) -> list[str]:
+    """Write `SceneXX/<variant>/frames/...` and the text files of each variant; all frames of one follow each other."""
+    names = Names()
+    texts: dict[str, dict[str, list[str]]] = {}
+    scene = None
+    colours = "Category r g b\n" + "".join(
+        f"{kind.name.replace(' ', '')} {kind.colour[0]} {kind.colour[1]} {kind.colour[2]}\n" for kind in LABELS.values()
+    )
+    palette = np.zeros((256, 3), dtype=np.uint8)
+    for kind in LABELS.values():
+        if kind.id >= 0:
+            palette[kind.id] = kind.colour
+
+    def flush() -> None:
+        for tree, parts in texts.items():
+            for name, lines in parts.items():
+                folder.text(f"{tree}/{name}.txt", f"{HEADS[name]}\n" + "".join(dict.fromkeys(lines)))
+            folder.text(f"{tree}/colors.txt", colours)
+        texts.clear()
+
+    for picture, right in with_right(pictures()):
+        if scene is not None and picture.scene != scene:
+            flush()
+        scene = picture.scene
+        tree = f"Scene{picture.scene:02}/{plain(picture.lighting)}-{plain(picture.fog)}"
+        frame = int(names.stem(picture, "").rpartition("_")[2])
+        base = f"{tree}/frames"
+        for number, eye in enumerate([picture, *([right] if right else [])]):
+            labels, which = eye.labels, f"Camera_{number}"
+            labels.refuse_fisheye("Virtual KITTI 2")
+            folder.jpeg(f"{base}/rgb/{which}/rgb_{frame:05}.jpg", eye.screen)
+            folder.png(f"{base}/depth/{which}/depth_{frame:05}.png", quantised(labels.depth_m, STEPS_PER_M))
+            folder.png(f"{base}/classSegmentation/{which}/classgt_{frame:05}.png", palette[labels.semantic])
+            ids = labels.instance.astype(np.uint16)
+            folder.png(f"{base}/instanceSegmentation/{which}/instancegt_{frame:05}.png", ids)
+            parts = texts.setdefault(tree, {name: [] for name in HEADS})
+            _write_rows(parts, frame, number, eye, chosen)
+    flush()
+    return [
+        "Depth is planar, uint16 in cm: what lies beyond 655.34 m is 65535, where the original has the sky too; ours "
+        "is 0.",
+        "Classes and colours are Cityscapes'; there is no optical flow. Camera_1 is the right eye of a pair.",
+        "World space is the stage's, in metres with Y down: x, -z, y of ours.",
+    ]
+
+
+def _write_rows(parts: dict[str, list[str]], frame: int, number: int, picture: LabelledPicture, chosen: Boxed) -> None:
+    camera = picture.labels.camera
+    matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
+    parts["intrinsic"].append(f"{frame} {number} {matrix[0][0]:g} {matrix[1][1]:g} {matrix[0][2]:g} {matrix[1][2]:g}\n")
+    y_down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    to_camera = np.linalg.inv(y_down @ np.array(camera["camera_to_world"]))
+    parts["extrinsic"].append(f"{frame} {number} " + " ".join(f"{value:.9g}" for value in to_camera.ravel()) + "\n")
+    for row in taxonomy.things(picture, chosen):
+        x, y, right, bottom = taxonomy.corners(row["box_px"])
+        track, moves = row["id"] - 1, row.get("speed_m_s", 0.0) > 0.0
+        cut, share = row.get("truncation", 0.0), row.get("visible_share", 1.0)
+        parts["bbox"].append(
+            f"{frame} {number} {track} {x} {right - 1} {y} {bottom - 1} {row['pixels']} {cut:g} {share:g} {moves}\n"
+        )
+        name = row["label"].replace(" ", "")
+        parts["info"].append(f"{track} {name} {plain(row['path'].rpartition('/')[2])} unknown\n")
+        if "box_3d" not in row:
+            continue
+        (height, width, length), place, turn = kitti.upright(row)
+        world = y_down @ np.array(camera["camera_to_world"]) @ np.array([*place, 1.0])
+        heading = (y_down @ np.array(camera["camera_to_world"]))[:3, :3] @ np.array([np.cos(turn), 0.0, -np.sin(turn)])
+        alpha = (turn - np.arctan2(place[0], place[2]) + np.pi) % (2 * np.pi) - np.pi
+        numbers = [alpha, width, height, length, *world[:3], np.arctan2(-heading[2], heading[0]), 0.0, 0.0]
+        numbers += [*place, turn, 0.0, 0.0]
+        parts["pose"].append(f"{frame} {number} {track} " + " ".join(f"{value:.6g}" for value in numbers) + "\n")

@@ -1,0 +1,214 @@
+"""The index of a set: one row for each picture, as Parquet, in parts of a thousand scenes.
+
+A picture is one shot (a scene, lighting, camera and fog) as one pipeline shows it.  All pipelines of a shot share its
+radiance and labels.  Whoever reads a set starts here, and needs nothing else of this room:
+
+    from synfog_usd.dataset.sets import index
+    for picture in index.pictures(out):               # one at a time; memory does not grow with the set
+        picture.scene, picture.split                  # 17, 'train'
+        picture.source, picture.seed                  # 'residential' (recipe, or name of a stage), seed of the scene
+        picture.lighting, picture.camera              # 'sky', '' (the stage's own camera) or a prim path
+        picture.fog, picture.mor_m                    # 'mor600', 600.0; 'clear', None
+        picture.pipeline                              # 'synfog'
+        picture.files["srgb.png"]                     # absolute paths; radiance.exr, layers.exr, instances.json and
+                                                      # what the pipeline's outputs are called
+        picture.files["labels.exr"]                   # and labels.json: of the scene, lighting and camera, in clear air
+        picture.bake                                  # folder of its bake.json
+    index.of_scene(out, 17)                           # the pictures of one scene
+    index.count(out)                                  # from the heads of the files alone
+
+Pictures come in the order of scenes, then lightings, cameras, fogs and pipelines as the set's file has them.  Any
+reader of Parquet opens the files too: `pyarrow.dataset.dataset(out / "index")`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from synfog_usd.base import files
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.dataset.sets import layout
+
+OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")
+OF_VIEW = ("labels.exr", "labels.json", "bake.json")
+COLUMNS = {
+    "scene": "int32",
+    "split": "string",
+    "source": "string",
+    "seed": "int64",
+    "lighting": "string",
+    "camera": "string",
+    "fog": "string",
+    "mor_m": "float64",
+    "pipeline": "string",
+    "width_px": "int32",
+    "height_px": "int32",
+    "bake": "string",
+    "shot": "string",
+    "developed": "string",
+    "outputs": "list<string>",
+}
+"""Column -> type.  `bake`, `shot` and `developed` are folders relative to the set's: of bake.json and labels, of the
+radiance, and of the files that `outputs` names.
+"""
+
+
+@dataclass(frozen=True)
+class PictureKey:
+    """Which shot of which scene it is, and by which pipeline it is shown.
+
+    Attributes:
+        scene: number, from 0; split: name; source: recipe or stage; seed: of the scene.
+        lighting, camera, fog: as the bake has them; mor_m: visibility [m], None in clear air.
+        pipeline: name of the node graph.
+    """
+
+    scene: int
+    split: str
+    source: str
+    seed: int
+    lighting: str
+    camera: str
+    fog: str
+    mor_m: float | None
+    pipeline: str
+
+
+@dataclass(frozen=True)
+class Picture(PictureKey):
+    """One shot as one pipeline shows it; see the head of this module.
+
+    Attributes:
+        width_px, height_px: of the picture.
+        bake, shot: folders of bake.json and of radiance.exr.
+        files: name -> path.
+    """
+
+    width_px: int
+    height_px: int
+    bake: Path
+    shot: Path
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+
+def pictures(out: Path) -> Iterator[Picture]:
+    """Every picture of a set, in its order.
+
+    Args:
+        out: folder of the set.
+
+    Raises:
+        ParameterError: no set lies there.
+    """
+    for path in parts(out):
+        yield from _of_part(out, path)
+
+
+def of_scene(out: Path, number: int) -> tuple[Picture, ...]:
+    """The pictures of one scene, none where it is not made yet.
+
+    Raises:
+        ParameterError: no set lies there.
+    """
+    path = layout.part_path(out, number // layout.A_FOLDER)
+    return tuple(_of_part(out, path, scene=number)) if path in parts(out) else ()
+
+
+def count(out: Path) -> int:
+    """How many pictures the index has.
+
+    Raises:
+        ParameterError: no set lies there.
+    """
+    parquet = _parquet()
+    return sum(parquet.read_metadata(path).num_rows for path in parts(out))
+
+
+def is_set(folder: Path) -> bool:
+    """Whether a set lies in a folder, finished or not."""
+    return (folder / layout.INDEX).is_dir() or (folder / layout.SET).is_file()
+
+
+def parts(out: Path) -> list[Path]:
+    """The files of the index.
+
+    Raises:
+        ParameterError: no set lies there.
+    """
+    found = sorted((out / layout.INDEX).glob("part-*.parquet"))
+    if not found and (out / layout.SET).is_file():
+        raise ParameterError(
+            f"{out}: this set is not finished and has no index of a set yet; synfog-usd dataset retry {out} goes on"
+        )
+    if not found:
+        raise ParameterError(
+            f"{out}: no index of a set ({layout.INDEX}/part-*.parquet); make one with synfog-usd dataset run SET.yaml "
+            f"-o {out}"
+        )
+    return found
+
+
+def write_part(out: Path, part: int, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write the rows of a thousand scenes; see `COLUMNS`.  A part without rows is taken away.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    parquet, arrow = _parquet(), _arrow()
+    path, found = layout.part_path(out, part), list(rows)
+    if not found:
+        path.unlink(missing_ok=True)
+        return
+    kinds = {"list<string>": arrow.list_(arrow.string())}
+    schema = arrow.schema([(name, kinds.get(kind) or getattr(arrow, kind)()) for name, kind in COLUMNS.items()])
+    table = arrow.Table.from_pylist(found, schema=schema)
+    files.write_whole(path, lambda temporary: parquet.write_table(table, temporary, compression="zstd"))
+
+
+def rows_of_part(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of one file, as `write_part` took them.
+
+    Raises:
+        OutputError: it cannot be read.
+    """
+    try:
+        with _parquet().ParquetFile(path) as file:
+            for batch in file.iter_batches(batch_size=1000):
+                yield from batch.to_pylist()
+    except (OSError, ValueError, KeyError) as error:  # pyarrow's own errors are ValueErrors
+        raise OutputError(
+            f"{path}: cannot be read as part of an index ({error}); the same dataset run writes it again"
+        ) from error
+
+
+def _of_part(out: Path, path: Path, scene: int | None = None) -> Iterator[Picture]:
+    return (_picture(out, row) for row in rows_of_part(path) if scene is None or row["scene"] == scene)
+
+
+def _picture(out: Path, row: Mapping[str, Any]) -> Picture:
+    bake, shot, developed = (out / row[name] for name in ("bake", "shot", "developed"))
+    found = {
+        **{name: bake / name for name in OF_VIEW},
+        **{name: shot / name for name in OF_SHOT},
+        **{name: developed / name for name in row["outputs"]},
+    }
+    plain = {name: value for name, value in row.items() if name not in ("bake", "shot", "developed", "outputs")}
+    return Picture(**plain, bake=bake, shot=shot, files=found)
+
+
+def _arrow() -> Any:
+    try:
+        import pyarrow
+    except ImportError as error:
+        raise ParameterError("data sets need pyarrow: pip install pyarrow") from error
+    return pyarrow
+
+
+def _parquet() -> Any:
+    _arrow()
+    import pyarrow.parquet
+
+    return pyarrow.parquet

@@ -1,0 +1,100 @@
+"""What stages of a user's own offer a set: which lightings and fogs they have by name.
+
+A stage without a variant set of a kind is lit, or fogged, as it is authored, whatever names the set has for others.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from synfog_usd.base.errors import SetError, StageError, did_you_mean
+from synfog_usd.dataset.plan import AS_AUTHORED, offered_names, visibility_of
+from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS, Offer, SetDefinition
+
+KINDS = {"lighting": "lightings", "fog": "fogs"}
+"""Variant set -> section of a set's file."""
+
+
+def of_stage(path: Path) -> Offer:
+    """Variants by set; none of a stage that cannot be opened: of that its bake will tell."""
+    try:
+        return _of_file(path, path.stat().st_mtime_ns)
+    except (StageError, OSError):
+        return {}
+
+
+@functools.lru_cache(maxsize=4096)
+def _of_file(path: Path, changed_ns: int) -> Offer:
+    from synfog_usd import stage as usd
+
+    return usd.offered(path)
+
+
+def of_stages(paths: Sequence[Path]) -> dict[Path, Offer]:
+    """Likewise of several."""
+    return {path: of_stage(path) for path in paths}
+
+
+def known(found: SetDefinition, read: Callable[[Sequence[Path]], Mapping[Path, Offer]] = of_stages) -> SetDefinition:
+    """The set with what all its stages offer.
+
+    Args:
+        found: the set.
+        read: of_stages, or what does the same in a process of its own.
+
+    Raises:
+        SetError: the set names what none of its stages has.
+    """
+    stages = dict.fromkeys(path for source in found.sources for path in source.stages)
+    offers = {**found.offers, **read([path for path in stages if path not in found.offers])} if stages else {}
+    found = replace(found, offers=offers)
+    if not stages:
+        return found
+    recipes = any(source.recipe for source in found.sources)
+    for kind, section in KINDS.items():
+        there = {AS_AUTHORED: None} | {name: None for path in stages for name in offers[path].get(kind, ())}
+        there |= dict.fromkeys(RECIPE_LIGHTINGS if kind == "lighting" and recipes else ())
+        for one in found.lightings if kind == "lighting" else found.fogs:
+            for name in one.values if one.kind in ("fixed", "choice") else ():
+                usual = name in RECIPE_LIGHTINGS if kind == "lighting" else not isinstance(name, str) or _free(name)
+                if not usual and name not in there and not (recipes and kind == "fog"):
+                    free = ", and all take clear and visibilities" if kind == "fog" else ""
+                    raise SetError(
+                        f"{found.name}: {section} has {name!r}, which no stage of the set has; they have "
+                        f"{', '.join(there)}{free}.{did_you_mean(str(name), there)}"
+                    )
+    return found
+
+
+def chosen(found: SetDefinition, stage: Path, kind: str, drawn: Sequence[str]) -> tuple[str, ...]:
+    """The lightings or fogs of a stage in a set.
+
+    Args:
+        found: the set.
+        stage: a file of its stages.
+        kind: 'lighting' or 'fog'.
+        drawn: names that the set has for the scene; none for all that the stage has.
+
+    Raises:
+        SetError: the stage has variants, and one that is asked for is not among them.
+    """
+    there = (found.offers[stage] if stage in found.offers else of_stage(stage)).get(kind, ())
+    if not drawn:
+        return tuple(offered_names(there))
+    asked = [name if there or (kind == "fog" and _free(name)) else AS_AUTHORED for name in drawn]
+    for name in asked:
+        if name not in (*there, AS_AUTHORED) and not (kind == "fog" and _free(name)):
+            raise SetError(
+                f"{stage}: has the {KINDS[kind]} {', '.join(there)}, and the set {found.name!r} asks for {name!r}; "
+                f"name some of them under {KINDS[kind]}, or {AS_AUTHORED} for the stage as it is."
+                f"{did_you_mean(name, there)}"
+            )
+    return tuple(dict.fromkeys(asked))
+
+
+def _free(fog: str) -> bool:
+    """Whether every stage takes a fog, with or without variants."""
+    return visibility_of(fog) is not None

@@ -1,0 +1,271 @@
+"""A bench: every method asked about every item, in children, and what came of it kept as it goes."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import queue
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from synfog_usd.base import files
+from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.progress import Progress, silent
+from synfog_usd.dataset.sets.cluster import cores
+from synfog_usd.lab.benchmark.child import read
+
+RESULTS = "results.json"
+KEEP_EVERY_S = 5.0
+
+GIVE_UP = 3
+"""Failures in a row, from the first picture on, after which a method is asked no more."""
+
+Row = dict[str, Any]
+"""What is kept of one answer; {'error': line} where there is none."""
+
+
+class Named(Protocol):
+    """What is asked about."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+
+class Versioned(Protocol):
+    """What is asked."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def version(self) -> str: ...  # noqa: D102
+    @property
+    def at_once(self) -> int: ...  # noqa: D102
+
+
+class Closing(Protocol):
+    """Its child, or children."""
+
+    def close(self) -> None: ...  # noqa: D102
+
+
+T = TypeVar("T", bound=Named)
+M = TypeVar("M", bound=Versioned)
+W = TypeVar("W", bound=Closing)
+
+Borrowed = Callable[[], contextlib.AbstractContextManager[W]]
+"""Lends one of a method's children."""
+
+
+@dataclass
+class Bench:
+    """What came of a run.
+
+    Attributes:
+        items: in order.
+        methods: in order.
+        rows: (method's version, item's name) -> what is kept of its answer, or {'error': line}.
+        made: how many of them are of this run.
+    """
+
+    items: Sequence[Any]
+    methods: Sequence[Any]
+    rows: dict[tuple[str, str], Row] = field(default_factory=dict)
+    made: int = 0
+
+    def row(self, method: Versioned, item: Named) -> Row:
+        """What is kept; {} where it was not asked."""
+        return self.rows.get((method.version, item.name), {})
+
+    def failures(self, method: Versioned) -> dict[str, str]:
+        """Item -> why it has no answer."""
+        rows = {item.name: self.row(method, item) for item in self.items}
+        return {name: row["error"] for name, row in rows.items() if "error" in row}
+
+
+def run(
+    items: Sequence[T],
+    methods: Sequence[M],
+    out: Path,
+    *,
+    key: Callable[[T, M], str],
+    opened: Callable[[M, Path], W],
+    ask: Callable[[T, M, W], Row],
+    measure: Callable[[Row], Row] = lambda row: row,
+    retry: bool = False,
+    progress: Progress = silent,
+    log: Callable[[str], None] = lambda text: None,
+) -> Bench:
+    """Ask methods about items; what `out` has already of the same pictures and methods is kept.
+
+    Methods follow each other.  The items of one go side by side, as many as there are cores; of its children there are
+    as many as it may work on at once.
+
+    Args:
+        items, methods: in order.
+        out: folder; `results.json` is written as it goes, whole each time, in the order of methods and items.
+        key: what the answer depends on besides the method's version.
+        opened: a child of a method, which puts files into the folder that it is given.
+        ask: the answer, or {'error': line}; called from several threads, with a child for each.
+        measure: what is kept of an answer; called from several threads while the child goes on.
+        retry: take up what failed, too.
+        progress, log: whom to tell.
+
+    Raises:
+        OutputError: the folder cannot be written, or `results.json` there is none of ours.
+    """
+    bench = Bench(items, methods)
+    known = kept(out / RESULTS)
+    _keep(out / RESULTS, known)  # a folder that cannot be written is told before the first answer
+    places = [[f"{method.version} {key(item, method)}" for item in items] for method in methods]
+    order = [place for row in places for place in row]
+    total, done, kept_at, lanes = len(order), 0, time.monotonic(), cores()
+    with ThreadPoolExecutor(lanes) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
+        try:
+            for method, row in zip(methods, places, strict=True):
+                wanted: dict[str, T] = {}
+                for place, item in zip(row, items, strict=True):
+                    if place not in known or (retry and "error" in known[place]):
+                        wanted.setdefault(place, item)
+                done += len(items) - len(wanted)
+                first = {place: item for place, item in wanted.items() if place in row[:GIVE_UP]}
+                rest = {place: item for place, item in wanted.items() if place not in first}
+                count = min(method.at_once or lanes, lanes)
+                with _children([opened(method, Path(tempfile.mkdtemp(dir=folder))) for _ in range(count)]) as borrowed:
+
+                    def answer(item: T, method: M = method, borrowed: Borrowed[W] = borrowed) -> Row:
+                        with borrowed() as child:
+                            found = ask(item, method, child)
+                        return found if "error" in found else measure(found)
+
+                    for batch in (first, rest):
+                        if hopeless := batch is rest and bool(rest) and _hopeless(row, known):
+                            log(f"{method.name}: failed on the first {GIVE_UP} pictures; it is asked no more")
+                            why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
+                            answers: Iterator[tuple[str, Row]] = ((place, why) for place in rest)
+                        else:
+                            answers = _side_by_side(pool, answer, batch)
+                        for place, found in answers:
+                            known[place] = found
+                            bench.made, done = bench.made + 1, done + 1
+                            progress(f"{method.name}: {batch[place].name}", done / total)
+                            if "error" in found and not hopeless:
+                                log(f"{method.name}: {batch[place].name}: {found['error']}")
+                            if time.monotonic() - kept_at > KEEP_EVERY_S:
+                                _keep(out / RESULTS, known, order)
+                                kept_at = time.monotonic()
+                for place, item in zip(row, items, strict=True):
+                    bench.rows[method.version, item.name] = known[place]
+        finally:
+            _keep(out / RESULTS, known, order)
+    return bench
+
+
+def _hopeless(row: Sequence[str], known: dict[str, Row]) -> bool:
+    """Whether a method failed on the first pictures, and answered none."""
+    return all(place in known for place in row[:GIVE_UP]) and all(
+        "error" in known[place] for place in row if place in known
+    )
+
+
+@contextlib.contextmanager
+def _children(children: Sequence[W]) -> Iterator[Borrowed[W]]:
+    """A way to borrow one of a method's children, for which a thread waits its turn; they end with the context."""
+    free: queue.LifoQueue[W] = queue.LifoQueue()
+    for child in children:
+        free.put(child)
+    over = threading.Event()
+
+    @contextlib.contextmanager
+    def borrowed() -> Iterator[W]:
+        child = free.get()
+        try:
+            if over.is_set():  # after Ctrl-C nobody begins anything
+                raise RuntimeError("the bench has ended")
+            yield child
+        finally:
+            free.put(child)
+
+    try:
+        yield borrowed
+    finally:
+        over.set()
+        for child in children:
+            child.close()
+
+
+def _side_by_side(
+    pool: ThreadPoolExecutor, work: Callable[[T], Row], items: Mapping[str, T]
+) -> Iterator[tuple[str, Row]]:
+    """What came of each item, as it comes; what was not begun when nobody asks any more is not begun."""
+    going = {pool.submit(work, item): place for place, item in items.items()}
+    try:
+        for future in as_completed(going):
+            yield going[future], future.result()
+    finally:
+        for future in going:
+            future.cancel()
+
+
+def _keep(path: Path, known: dict[str, Row], order: Sequence[str] = ()) -> None:
+    """A line for each answer: those of other runs, then those of this one in order."""
+    mine = set(order)
+    places = [place for place in known if place not in mine] + [
+        place for place in dict.fromkeys(order) if place in known
+    ]
+    lines = ",\n".join(f"{json.dumps(place)}: {json.dumps(known[place], allow_nan=False)}" for place in places)
+    files.write_bytes(path, f"{{\n{lines}\n}}\n".encode())
+
+
+def picture(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8.
+
+    Raises:
+        ParameterError: it cannot be read.
+    """
+    from PIL import Image
+
+    try:
+        return read(path)
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise ParameterError(f"{path}: cannot be read as a picture ({error})") from error
+
+
+@functools.lru_cache(maxsize=100_000)
+def shape(path: Path) -> tuple[int, ...]:
+    """Of `picture`, which raises what this does."""
+    return picture(path).shape
+
+
+@functools.lru_cache(maxsize=100_000)
+def digest(path: Path) -> str:
+    """Of a file's bytes, for keys."""
+    try:
+        return files.sha256_of(path)[:16]
+    except OSError as error:
+        return f"missing: {error.strerror}"
+
+
+def kept(path: Path) -> dict[str, Row]:
+    """What an earlier run left; {} where there was none.
+
+    Raises:
+        OutputError: it is none of ours.
+    """
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict) or not all(isinstance(row, dict) for row in found.values()):
+            raise ValueError("it is no table of results")
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be gone on with ({error}); choose another folder or take it away") from error
+    return found

@@ -1,0 +1,205 @@
+"""The child in which a method works: `python -m synfog_usd.lab.benchmark.child`.
+
+The first line on standard input is the method as JSON; each further line names a picture and where the answer goes.
+Each is answered by a line of JSON: {"seconds": processor seconds} or {"error": one line}.  What measures answers is
+such a child too, and is told the truth as well.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.dataset.sets.cluster import cores
+from synfog_usd.lab.benchmark import decode
+from synfog_usd.lab.benchmark.classics import CLASSICS
+from synfog_usd.lab.benchmark.detectors import Detector
+from synfog_usd.lab.benchmark.methods import PNG, Defogger, Measurer, Method
+from synfog_usd.lab.benchmark.raw import filter_planes
+
+Work = Callable[..., None]
+"""From the file of a picture to that of the answer; what measures gets that of the truth, too."""
+
+KINDS: dict[str, type[Method]] = {kind.__name__: kind for kind in (Defogger, Detector, Measurer)}
+
+
+def main() -> None:
+    """Answer until standard input ends."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print does not stand among the answers
+    said = json.loads(sys.stdin.readline())
+    method = KINDS[said.pop("does")](**said)
+    with contextlib.suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (int(method.memory_gb * 1e9),) * 2)
+    work: Work | None = None
+    for line in sys.stdin:
+        task = json.loads(line)
+        began = time.process_time()
+        try:
+            if method.kind == "command":
+                _run(method, task)
+            else:
+                if work is None:
+                    work = _loaded(method)
+                work(*(Path(task[word]) for word in ("in", "out", "truth") if word in task))
+            answer: dict[str, Any] = {"seconds": time.process_time() - began}
+        except Exception as error:
+            told = str(error) if isinstance(error, SynfogError) else f"{type(error).__name__}: {error}"
+            answer = {"error": " ".join(told.split())[:300]}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def read(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8 of a picture."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _write(path: Path, picture: np.ndarray) -> None:
+    from PIL import Image
+
+    if not np.isfinite(picture).all():
+        raise ValueError("the answer holds NaN or infinity")
+    Image.fromarray(np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
+
+
+def _tell(path: Path, answer: Any) -> None:
+    path.write_text(json.dumps(answer, allow_nan=False), encoding="utf-8")
+
+
+def _loaded(method: Method) -> Work:
+    if isinstance(method, Detector):
+        find = decode.detector(method, _session(method))
+
+        def boxes(taken: Path, out: Path) -> None:
+            _tell(out, find(read(taken)))
+
+        return boxes
+    if isinstance(method, Measurer):
+        from synfog_usd.lab.benchmark import metrics
+        from synfog_usd.lab.benchmark.bench import picture
+
+        return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
+    if method.kind in ("onnx", "torch"):
+        restore = _network(method)
+        return lambda taken, out: _write(out, restore(taken))
+    classic = CLASSICS[method.target]
+    return lambda taken, out: _write(out, classic(read(taken).astype(np.float64) / 255.0))
+
+
+def _session(method: Method) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads(method)
+    return onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+
+
+def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
+    raw = method.takes != PNG
+    planes, scale, wanted = (
+        (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
+    )
+    ask, sides = _torch_module(method) if method.kind == "torch" else _onnx_network(method, planes, wanted)
+    low, high = method.range
+
+    def restore(taken: Path) -> np.ndarray:
+        if raw:
+            given = filter_planes(taken)
+        else:
+            given = read(taken).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
+        height, width = given.shape[1:]
+        down, right = (-height) % method.multiple, (-width) % method.multiple
+        padded = np.pad(given, ((0, 0), (0, down), (0, right)), mode="symmetric")
+        for side, found in zip(sides, padded.shape[1:], strict=True):
+            if isinstance(side, int) and side != found:
+                raise ValueError(
+                    f"the network wants pictures of {sides[1]} x {sides[0]}, and this one has {width} x {height}; "
+                    f"export it with free height and width"
+                )
+        answer = np.asarray(ask(padded[None]), dtype=np.float64)
+        expected = (1, 3, scale * padded.shape[1], scale * padded.shape[2])
+        if answer.shape != expected:
+            raise ValueError(f"the network gave {answer.shape} for {padded[None].shape}, and not {expected}")
+        return (answer[0].transpose(1, 2, 0)[: scale * height, : scale * width] - low) / (high - low)
+
+    return restore
+
+
+def _onnx_network(method: Defogger, planes: int, wanted: str) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
+    """What asks it, and its height and width: numbers where it has fixed ones."""
+    session = _session(method)
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    shape = inputs[0].shape
+    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
+        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {wanted}")
+    return lambda given: session.run([outputs[0].name], {inputs[0].name: given})[0], (shape[2], shape[3])
+
+
+def _torch_module(method: Defogger) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
+    """What asks a module as torch.export (.pt2) or TorchScript saves it."""
+    try:
+        import torch
+    except ImportError:
+        raise ValueError("a torch module needs PyTorch: pip install torch") from None
+    torch.set_num_threads(threads(method))
+    path = Path(method.target)
+    if path.suffix == ".pt2":
+        module = torch.export.load(path).module()
+    else:
+        try:
+            module = torch.jit.load(path, map_location="cpu").eval()
+        except RuntimeError as error:
+            raise ValueError(
+                f"{path.name} is no module of torch.jit.save, nor one of torch.export.save, whose names end in .pt2; "
+                f"weights alone (state_dict) do not say what the network computes"
+            ) from error
+
+    def ask(given: np.ndarray) -> Any:
+        with torch.inference_mode():
+            answer = module(torch.from_numpy(np.ascontiguousarray(given)))
+        if not isinstance(answer, torch.Tensor):
+            raise ValueError(f"the module gave a {type(answer).__name__}, and not a tensor")
+        return answer.numpy()
+
+    return ask, ("H", "W")
+
+
+def _run(method: Method, task: dict[str, str]) -> None:
+    words = [word.replace("{in}", task["in"]).replace("{out}", task["out"]) for word in method.command]
+    done = subprocess.run(words, cwd=method.target, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode != 0:
+        told = (done.stderr or done.stdout).strip().splitlines()
+        raise RuntimeError(f"ended with {done.returncode}: {told[-1] if told else 'it said nothing'}")
+    if not Path(task["out"]).is_file():
+        raise RuntimeError(f"it wrote no {method.suffix[1:].upper()}")
+
+
+def threads(method: Method) -> int:
+    """Its share of the cores: all of them where it works on one picture at a time."""
+    return max(1, cores() // (method.at_once or cores()))
+
+
+def as_line(method: Method) -> str:
+    """The method as the child's first line."""
+    return json.dumps({"does": type(method).__name__, **dataclasses.asdict(method)}) + "\n"
+
+
+if __name__ == "__main__":
+    main()

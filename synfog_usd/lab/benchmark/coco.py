@@ -1,0 +1,225 @@
+"""COCO's scores of boxes, by groups of things and with intervals.
+
+pycocotools matches boxes with things; what it matched is counted here with a weight for each picture, so that scenes
+can be drawn again.  With weights of 1 the numbers are pycocotools' own.
+
+A group is a range of some number of things: their pixels, their distance.  Things outside of it are ignored, as COCO
+ignores large things where small ones count; so are boxes that match nothing and are outside themselves.
+
+Source: Lin et al., Microsoft COCO (2014), and its published evaluation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.base.arrays import Array, Flags
+from synfog_usd.base.errors import ParameterError
+
+OVERLAPS = np.linspace(0.5, 0.95, 10)
+"""Intersections over union from which on a box is right."""
+
+RECALLS = np.linspace(0.0, 1.0, 101)
+MOST = 100
+"""Boxes of a class that count in a picture."""
+
+Range = tuple[float, float]
+EVERYTHING: Range = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class TrueBox:
+    """What a picture shows.
+
+    Attributes:
+        picture: number of the picture.
+        kind: of the class.
+        box: left, top, width, height [px].
+        number: by which groups are made.
+        ignored: whether it is a region in which boxes are neither right nor wrong.
+    """
+
+    picture: int
+    kind: int
+    box: Sequence[float]
+    number: float
+    ignored: bool = False
+
+
+@dataclass(frozen=True)
+class FoundBox:
+    """What a detector says.
+
+    Attributes:
+        picture, kind, box, number: as `TrueBox` has them.
+        score: how sure it is.
+    """
+
+    picture: int
+    kind: int
+    box: Sequence[float]
+    score: float
+    number: float
+
+
+@dataclass(frozen=True)
+class MatchedKind:
+    """A class of a group.
+
+    Attributes:
+        picture: (D,) of each box, the surest first.
+        right, wrong: (T, D) by overlap; a box that is neither is ignored.
+        things: (P,) how many count in each picture.
+    """
+
+    picture: npt.NDArray[np.int64]
+    right: Flags
+    wrong: Flags
+    things: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What was matched.
+
+    Attributes:
+        groups: by range, then class.
+        found: (T, N) by overlap, whether each thing was found, where it is not ignored and all count.
+    """
+
+    groups: list[list[MatchedKind]]
+    found: Flags
+
+
+def match(pictures: int, true: Sequence[TrueBox], found: Sequence[FoundBox], ranges: Sequence[Range]) -> Matched:
+    """Match boxes with things, class by class.
+
+    Args:
+        pictures: how many there are.
+        true, found: in any order.
+        ranges: of `number`, ends included; the first should be `EVERYTHING`.
+
+    Raises:
+        ParameterError: pycocotools is not installed.
+    """
+    try:
+        from pycocotools.coco import COCO
+        from pycocotools.cocoeval import COCOeval
+    except ImportError as error:
+        raise ParameterError("detectors are measured by pycocotools: pip install pycocotools") from error
+    kinds = sorted({one.kind for one in (*true, *found)})
+
+    def dataset(rows: list[dict[str, Any]]) -> Any:
+        made = COCO()
+        made.dataset = {
+            "images": [{"id": number} for number in range(pictures)],
+            "categories": [{"id": kind} for kind in kinds],
+            "annotations": rows,
+        }
+        made.createIndex()
+        return made
+
+    things = [
+        {**_annotation(n, one), "iscrowd": int(one.ignored)}
+        for n, one in enumerate(true, start=1)  # pycocotools takes 0 for no match
+    ]
+    boxes = [{**_annotation(n, one), "iscrowd": 0, "score": one.score} for n, one in enumerate(found, start=1)]
+    with contextlib.redirect_stdout(io.StringIO()):
+        evaluation = COCOeval(dataset(things), dataset(boxes), "bbox")
+        evaluation.params.imgIds, evaluation.params.catIds = list(range(pictures)), kinds
+        evaluation.params.iouThrs, evaluation.params.maxDets = OVERLAPS, [MOST]
+        evaluation.params.areaRng = [list(one) for one in ranges]
+        evaluation.params.areaRngLbl = [str(n) for n in range(len(ranges))]
+        evaluation.evaluate()
+    rows = iter(evaluation.evalImgs)
+    seen = np.zeros((len(OVERLAPS), len(true)), dtype=bool)
+    groups: list[list[MatchedKind]] = [[] for _ in ranges]
+    for _ in kinds:
+        for place in range(len(ranges)):
+            of_kind = [next(rows) for _ in range(pictures)]
+            groups[place].append(_of_kind(of_kind))
+            for row in of_kind if place == 0 else ():
+                if row is not None:
+                    seen[:, np.array(row["gtIds"], dtype=int) - 1] = np.asarray(row["gtMatches"]) > 0
+    return Matched(groups, seen)
+
+
+def _annotation(number: int, one: TrueBox | FoundBox) -> dict[str, Any]:
+    box = [float(part) for part in one.box]
+    return {"id": number, "image_id": one.picture, "category_id": one.kind, "bbox": box, "area": one.number}
+
+
+def _of_kind(rows: Sequence[Any]) -> MatchedKind:
+    """The rows of a class, one for each picture."""
+    none = np.zeros((len(OVERLAPS), 0), dtype=bool)
+    scores = [np.zeros(0) if row is None else np.asarray(row["dtScores"], dtype=np.float64) for row in rows]
+    hits = [none if row is None else np.asarray(row["dtMatches"]) > 0 for row in rows]
+    ignored = [none if row is None else np.asarray(row["dtIgnore"], dtype=bool) for row in rows]
+    things = [0 if row is None else int((np.asarray(row["gtIgnore"]) == 0).sum()) for row in rows]
+    picture = np.repeat(np.arange(len(rows)), [len(one) for one in scores])
+    order = np.argsort(-np.concatenate(scores), kind="mergesort")
+    hit, out = np.concatenate(hits, axis=1)[:, order], np.concatenate(ignored, axis=1)[:, order]
+    return MatchedKind(picture[order], hit & ~out, ~hit & ~out, np.array(things))
+
+
+def precision(group: Sequence[MatchedKind], weights: Array) -> Array:
+    """Average precision, the mean over classes of which something is there.
+
+    Args:
+        group: classes.
+        weights: (R, P) how often each picture counts.
+
+    Returns:
+        (R, T) by overlap; nan where nothing is there.
+    """
+    return mean_over_kinds([_precision(one, weights) for one in group] or [_nothing(weights)])
+
+
+def recall(group: Sequence[MatchedKind], weights: Array) -> Array:
+    """(R, T) share of things that is found, the mean over classes; see `precision`."""
+    found = []
+    for one in group:
+        things = weights @ one.things
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found.append((weights[:, one.picture] @ one.right.T.astype(np.float64)) / things[:, None])
+    return mean_over_kinds(found or [_nothing(weights)])
+
+
+def mean_over_kinds(values: Sequence[Array] | Array) -> Array:
+    """Mean over the first axis of what is defined; nan where nothing is."""
+    whole = np.array(values)
+    there = np.isfinite(whole)
+    with np.errstate(invalid="ignore"):
+        return np.where(there, whole, 0.0).sum(axis=0) / there.sum(axis=0)
+
+
+def _nothing(weights: Array) -> Array:
+    return np.full((len(weights), len(OVERLAPS)), np.nan)
+
+
+def _precision(one: MatchedKind, weights: Array) -> Array:
+    """(R, T), by 101 recalls as COCO has it."""
+    found = _nothing(weights)
+    things = weights @ one.things
+    draws = np.flatnonzero(things > 0.0)
+    boxes = np.flatnonzero(weights.any(axis=0)[one.picture])
+    often = weights[draws][:, one.picture[boxes]]
+    apart = 2.0 * np.arange(len(draws))[:, None]  # draws one behind the other, so that one search serves all
+    for overlap in range(len(OVERLAPS)):
+        right = np.cumsum(often * one.right[overlap, boxes], axis=1)
+        wrong = np.cumsum(often * one.wrong[overlap, boxes], axis=1)
+        share = right / np.maximum(right + wrong, 1e-12)
+        highest = np.maximum.accumulate(share[:, ::-1], axis=1)[:, ::-1]
+        reached = (right / things[draws, None] + apart).ravel()
+        place = np.searchsorted(reached, (RECALLS + apart).ravel()).reshape(len(draws), len(RECALLS))
+        place -= boxes.size * np.arange(len(draws))[:, None]
+        padded = np.pad(highest, ((0, 0), (0, 1)))
+        found[draws, overlap] = np.take_along_axis(padded, place, axis=1).mean(axis=1)
+    return found

@@ -1,0 +1,543 @@
+"""The detection bench: what detectors find in foggy pictures, scored with and without what no camera can see.
+
+Things are the instances of a set with boxes of their visible pixels, as the COCO export has them.  What fog leaves of
+each stands in `instances.json` (`dataset.visibility`).  Two scores stand side by side: all things count; and things
+that are `invisible` in a picture are regions in which boxes are neither right nor wrong, as COCO's crowds are.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.progress import Progress, silent
+from synfog_usd.dataset.exports import frames, taxonomy
+from synfog_usd.dataset.exports.frames import LabelledPicture
+from synfog_usd.lab.benchmark import bench, coco, statistics
+from synfog_usd.lab.benchmark.bench import Bench, Row
+from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, Matched, MatchedKind, TrueBox
+from synfog_usd.lab.benchmark.detectors import Detector, as_boxes
+from synfog_usd.lab.benchmark.methods import PNG, Defogger
+from synfog_usd.lab.benchmark.statistics import FEWEST_SCENES
+from synfog_usd.lab.benchmark.worker import MethodError, MethodWorker
+
+ALL, LEFT = "all things", "what fog leaves"
+"""The two scores."""
+
+STATES = ("visible", "faint", "invisible")
+DISTANCES_M = (0.0, 25.0, 50.0, 100.0, math.inf)
+VISIBILITIES_M = (0.0, 50.0, 100.0, 200.0, 400.0, math.inf)
+SIZES_PX = {"small": (0.0, 32.0**2), "medium": (32.0**2, 96.0**2), "large": (96.0**2, math.inf)}
+"""COCO's, by area."""
+
+DRAWS = 400
+"""Of scenes, for intervals of average precision; 400 tell their ends to some 5 % of their width."""
+
+FARTHEST_M = 1e6
+"""What is told of boxes that show sky alone."""
+
+
+@dataclass(frozen=True)
+class LabelledThing:
+    """A thing that a picture shows.
+
+    Attributes:
+        id: of the instance, the same in all fogs of a view.
+        label: of Cityscapes.
+        box: left, top, width and height of its visible pixels [px].
+        pixels: visible ones.
+        distance_m: along the ray.
+        visibility: one of `STATES`, or '' where the shot does not tell.
+    """
+
+    id: int
+    label: str
+    box: tuple[float, ...]
+    pixels: int
+    distance_m: float
+    visibility: str
+
+
+@dataclass(frozen=True)
+class FoggedView:
+    """A picture that detectors are asked about.
+
+    Attributes:
+        source: of the set.
+        picture: its file.
+        things: in it.
+    """
+
+    source: LabelledPicture
+    picture: Path
+    things: tuple[LabelledThing, ...]
+
+    @property
+    def name(self) -> str:
+        """Unlike any other's."""
+        return self.source.name
+
+    @property
+    def scene(self) -> str:
+        """Intervals are over scenes."""
+        return f"{self.source.scene:06d}"
+
+    @property
+    def view(self) -> tuple[Any, ...]:
+        """The same for all fogs of a view."""
+        one = self.source
+        return one.scene, one.lighting, one.camera, one.pipeline
+
+    @property
+    def fog(self) -> str:
+        """By visibility, for tables."""
+        if self.source.clear:
+            return "clear"
+        return _between(VISIBILITIES_M, float(self.source.mor_m or 0.0), "MOR")
+
+
+@dataclass(frozen=True)
+class DetectorRun:
+    """A detector, alone or after a defogger.
+
+    Attributes:
+        detector: what is measured.
+        before: what it looks through, or None.
+    """
+
+    detector: Detector
+    before: Defogger | None = None
+
+    @property
+    def name(self) -> str:
+        """For tables."""
+        return self.detector.name if self.before is None else f"{self.detector.name} after {self.before.name}"
+
+    @property
+    def version(self) -> str:
+        """Hash of all that decides its answers."""
+        if self.before is None:
+            return self.detector.version
+        both = f"{self.before.version} {self.detector.version}"
+        return hashlib.sha256(both.encode()).hexdigest()[:16]
+
+    @property
+    def at_once(self) -> int:
+        """Pictures that both may work on at once; 0 for as many as there are cores."""
+        steps = (self.detector,) if self.before is None else (self.detector, self.before)
+        return min((step.at_once for step in steps if step.at_once), default=0)
+
+    @property
+    def takes(self) -> str:
+        """The file that it begins with."""
+        return (self.before or self.detector).takes
+
+
+class DetectorRunWorker:
+    """The children of a run."""
+
+    def __init__(self, run: DetectorRun, folder: Path) -> None:
+        steps = [step for step in (run.before, run.detector) if step is not None]
+        self.workers = [MethodWorker(step, folder) for step in steps]
+
+    def ask(self, picture: Path) -> Path:
+        """The file with its boxes.
+
+        Raises:
+            MethodError: one of the two gave no answer.
+        """
+        given = picture
+        for worker in self.workers:
+            answer = worker.ask(picture)
+            if picture is not given:
+                picture.unlink()
+            picture = answer
+        return picture
+
+    def close(self) -> None:
+        """End them."""
+        for worker in self.workers:
+            worker.close()
+
+
+def find(source: Path, *, picture: str = PNG, split: str = "") -> list[FoggedView]:
+    """The pictures of a set or a bake, with their things.
+
+    Args:
+        source: folder.
+        picture: which output is looked at.
+        split: of a set; all if left out.
+
+    Raises:
+        ParameterError: no such folder, or no picture or no thing in it.
+        OutputError: damaged labels.
+    """
+    if not source.is_dir():
+        raise ParameterError(f"{source}: no such folder")
+    found = []
+    for one in frames.pictures(source):
+        if picture in one.files and split in ("", one.split):
+            found.append(FoggedView(one, one.files[picture], tuple(_things(one))))
+    if not found:
+        raise ParameterError(
+            f"{source}: no picture {picture}{f' in the split {split!r}' if split else ''}; it takes a set or a bake"
+        )
+    if not any(one.things for one in found):
+        raise ParameterError(f"{source}: nothing that could be found is seen in any of {len(found)} pictures")
+    return found
+
+
+def _things(one: LabelledPicture) -> Iterator[LabelledThing]:
+    for row in taxonomy.things(one):
+        yield LabelledThing(
+            row["id"],
+            row["label"],
+            tuple(float(part) for part in row["box_px"]),
+            row["pixels"],
+            float(row["distance_m"]),
+            row.get("visibility") or "",
+        )
+
+
+def run(
+    views: Sequence[FoggedView],
+    runs: Sequence[DetectorRun],
+    out: Path,
+    *,
+    retry: bool = False,
+    progress: Progress = silent,
+    log: Callable[[str], None] = lambda text: None,
+) -> Bench:
+    """Ask detectors about pictures; what `out` has already of the same pictures and detectors is kept.
+
+    Args:
+        views: from `find`.
+        runs: detectors, alone and after defoggers.
+        out, retry, progress, log: as `bench.run` has them.
+
+    Returns:
+        rows of 'boxes': [x, y, width, height, score, class number, distance in metres of what is there].
+
+    Raises:
+        OutputError: the folder cannot be written, or `results.json` there is none of ours.
+    """
+    return bench.run(
+        views,
+        runs,
+        out,
+        key=lambda view, one: bench.digest(_taken(view, one) or view.picture),
+        opened=DetectorRunWorker,
+        ask=_asked,
+        retry=retry,
+        progress=progress,
+        log=log,
+    )
+
+
+def _taken(view: FoggedView, one: DetectorRun) -> Path | None:
+    return view.picture if one.takes == PNG else view.source.files.get(one.takes)
+
+
+def _asked(view: FoggedView, one: DetectorRun, worker: DetectorRunWorker) -> Row:
+    taken = _taken(view, one)
+    if taken is None:
+        return {"error": f"the picture has no {one.takes}"}
+    try:
+        shape, labels = bench.picture(view.picture).shape, view.source.labels
+        if shape[:2] != labels.distance_m.shape:
+            told = f"{labels.size_px[0]} x {labels.size_px[1]}"
+            return {"error": f"the picture has {shape[1]} x {shape[0]} pixels, and its labels {told}"}
+        found = worker.ask(taken)
+        answer = as_boxes(json.loads(found.read_text(encoding="utf-8")), one.detector)
+        found.unlink()
+    except (MethodError, ParameterError, ValueError, OSError) as error:
+        return {"error": " ".join(str(error).split())[:300]}
+    return {"boxes": [[*box, _distance(box, labels.distance_m)] for box in answer]}
+
+
+def _distance(box: Sequence[float], distance_m: Array) -> float:
+    """Median distance of what is seen in a box [m]."""
+    left, top = (max(0, int(part)) for part in box[:2])
+    inside = distance_m[top : math.ceil(box[1] + box[3]), left : math.ceil(box[0] + box[2])]
+    return round(min(float(np.median(inside)), FARTHEST_M), 2) if inside.size else FARTHEST_M
+
+
+@dataclass(frozen=True)
+class DetectionScore:
+    """A number of a table.
+
+    Attributes:
+        counts: `ALL` or `LEFT`.
+        by, group: what pictures or things are told apart by, and which of them; '' for all.
+        metric: 'AP', 'AP50', 'AP75', 'AR', or 'AR lost', clear minus foggy.
+        value: 0 to 1; nan where there is nothing.
+        low, high: interval at 95 % over scenes; None where things are in fewer than three.
+        things: how many count.
+    """
+
+    counts: str
+    by: str
+    group: str
+    metric: str
+    value: float
+    low: float | None
+    high: float | None
+    things: int
+
+
+@dataclass
+class DetectionScores:
+    """What a detector is worth.
+
+    Attributes:
+        rows: all numbers.
+        pictures: how many it answered.
+    """
+
+    rows: list[DetectionScore] = field(default_factory=list)
+    pictures: int = 0
+
+    def one(self, counts: str, metric: str, by: str = "", group: str = "") -> DetectionScore | None:
+        """A number, or None."""
+        wanted = (counts, by, group, metric)
+        return next((row for row in self.rows if (row.counts, row.by, row.group, row.metric) == wanted), None)
+
+
+@dataclass(frozen=True)
+class _Answers:
+    """A detector's answers, ready to be counted: the views that it answered, their truths and its boxes."""
+
+    views: list[FoggedView]
+    true: list[tuple[int, int, LabelledThing]]
+    found: list[tuple[int, list[float]]]
+
+    def matched(
+        self,
+        ranges: Sequence[coco.Range],
+        thing: Callable[[LabelledThing], float],
+        box: Callable[[list[float]], float],
+        ignored: Callable[[LabelledThing], bool],
+    ) -> Matched:
+        true = [TrueBox(n, kind, one.box, thing(one), ignored(one)) for n, kind, one in self.true]
+        found = [FoundBox(n, int(row[5]), row[:4], row[4], box(row)) for n, row in self.found]
+        return coco.match(len(self.views), true, found, ranges)
+
+
+def _answers(found: Bench, one: DetectorRun, names: set[str] | None = None) -> _Answers:
+    kinds = {label: place for place, labels in one.detector.classes for label in labels}
+    views = [view for view in found.items if "boxes" in found.row(one, view) and (names is None or view.name in names)]
+    true = [
+        (n, kinds[thing.label], thing) for n, view in enumerate(views) for thing in view.things if thing.label in kinds
+    ]
+    boxes = [(n, row) for n, view in enumerate(views) for row in found.row(one, view)["boxes"]]
+    return _Answers(views, true, boxes)
+
+
+def scores(found: Bench, one: DetectorRun, *, least_px: int = 0) -> DetectionScores:
+    """All numbers of a detector.
+
+    Args:
+        found: from `run`.
+        one: of its methods.
+        least_px: things of fewer visible pixels are ignored.
+
+    Raises:
+        ParameterError: pycocotools is not installed.
+    """
+    answers = _answers(found, one)
+    told = DetectionScores(pictures=len(answers.views))
+    if not answers.views:
+        return told
+    weights = _weights(answers.views)
+
+    def add(counts: str, by: str, group: str, metric: str, drawn: Array, things: Array) -> None:
+        enough = len({view.scene for view, n in zip(answers.views, things, strict=True) if n}) >= FEWEST_SCENES
+        told.rows.append(DetectionScore(counts, by, group, metric, *_told(drawn, enough), int(things.sum())))
+
+    def small(thing: LabelledThing) -> bool:
+        return thing.pixels < least_px
+
+    def hidden(thing: LabelledThing) -> bool:
+        return small(thing) or thing.visibility == "invisible"
+
+    sizes = [EVERYTHING, *SIZES_PX.values()]
+    steps = list(zip(DISTANCES_M[:-1], (float(np.nextafter(end, 0)) for end in DISTANCES_M[1:]), strict=True))
+    for counts, ignored in ((ALL, small), (LEFT, hidden)):
+        by_size = answers.matched(sizes, lambda thing: thing.pixels, lambda row: row[2] * row[3], ignored)
+        whole = by_size.groups[0]
+        drawn, things = coco.precision(whole, weights), _count(whole)
+        for metric, part in (("AP", drawn.mean(axis=1)), ("AP50", drawn[:, 0]), ("AP75", drawn[:, 5])):
+            add(counts, "", "", metric, part, things)
+        add(counts, "", "", "AR", coco.recall(whole, weights).mean(axis=1), things)
+        for name, group in zip(SIZES_PX, by_size.groups[1:], strict=True):
+            add(counts, "size", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
+        for fog in fogs(answers.views):
+            inside = np.array([view.fog == fog for view in answers.views])
+            own = coco.precision(whole, weights * inside)
+            add(counts, "fog", fog, "AP", own.mean(axis=1), _count(whole) * inside)
+        by_distance = answers.matched(steps, lambda thing: thing.distance_m, lambda row: row[6], ignored)
+        for low, group in zip(DISTANCES_M, by_distance.groups, strict=False):
+            name = _between(DISTANCES_M, low, "")
+            add(counts, "distance", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
+        if counts == ALL:
+            _lost(answers, by_size.found.mean(axis=0), weights, small, add)
+    # what matches nothing belongs to no state: so recall alone is told
+    states = answers.matched(
+        [(float(n), float(n)) for n in range(len(STATES))],
+        lambda thing: float(STATES.index(thing.visibility)) if thing.visibility in STATES else -1.0,
+        lambda row: -1.0,
+        small,
+    )
+    for name, group in zip(STATES, states.groups, strict=True):
+        add(ALL, "visibility", name, "AR", coco.recall(group, weights).mean(axis=1), _count(group))
+    return told
+
+
+def _lost(
+    answers: _Answers,
+    found: Array,
+    weights: Array,
+    ignored: Callable[[LabelledThing], bool],
+    add: Callable[[str, str, str, str, Array, Array], None],
+) -> None:
+    """Recall that fog costs, thing by thing: found in clear air less found in fog, by what fog leaves of the thing.
+
+    The parts add up to the whole: each is a sum over things of a class, over all its things, then the mean over
+    classes.
+    """
+    clear: dict[tuple[Any, ...], float] = {}
+    for (n, _, thing), share in zip(answers.true, found, strict=True):
+        if answers.views[n].source.clear:
+            clear[answers.views[n].view, thing.id] = float(share)
+    rows = [
+        (n, kind, thing.visibility, clear[answers.views[n].view, thing.id] - float(share))
+        for (n, kind, thing), share in zip(answers.true, found, strict=True)
+        if not answers.views[n].source.clear and (answers.views[n].view, thing.id) in clear and not ignored(thing)
+    ]
+    for fog in ["", *(fog for fog in fogs(answers.views) if fog != "clear")]:
+        own = [row for row in rows if fog in ("", answers.views[row[0]].fog)]
+        if not own:
+            continue
+        kinds = sorted({row[1] for row in own})
+        picture = np.array([row[0] for row in own])
+        kind, lost = np.array([kinds.index(row[1]) for row in own]), np.array([row[3] for row in own])
+        often = weights[:, picture]
+        things = np.stack([(often * (kind == k)).sum(axis=1) for k in range(len(kinds))])
+        for state in ("", *STATES):
+            chosen = np.array([state in ("", row[2]) for row in own])
+            sums = np.stack([(often * (kind == k) * chosen * lost).sum(axis=1) for k in range(len(kinds))])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                drawn = coco.mean_over_kinds(np.where(things > 0, sums / things, np.nan))
+            count = np.bincount(picture[chosen], minlength=len(answers.views))
+            add(ALL, f"lost in {fog or 'fog'}", state, "AR lost", drawn, count)
+
+
+def ranks(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, int]:
+    """Rank of each detector: one more than the number of those that are better beyond chance.
+
+    Two are compared by the average precision of all things on the pictures that both answered; one is better where the
+    interval of the difference over scenes does not hold 0.
+    """
+    better = dict.fromkeys((one.name for one in runs), 0)
+    for n, one in enumerate(runs):
+        for other in runs[n + 1 :]:
+            views, groups = _both(found, one, other, lambda thing: thing.pixels < least_px)
+            if views:
+                drawn = [coco.precision(group, _weights(views)).mean(axis=1) for group in groups]
+                _, low, high = _told(drawn[1] - drawn[0])
+                better[one.name] += low is not None and low > 0.0
+                better[other.name] += high is not None and high < 0.0
+    return {name: 1 + count for name, count in better.items()}
+
+
+def gains(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
+    """By how much each detector's average precision is above that of the first, by fog.
+
+    Both are told on the pictures that both answered, and their scenes are drawn together: so a difference can be known
+    better than either number.
+
+    Args:
+        found: from `run`.
+        runs: detectors, the first of which the others are compared with.
+        least_px: things of fewer visible pixels are ignored.
+
+    Returns:
+        name of each but the first -> its rows, by 'over' and the first one's name; the group '' is all fogs.
+    """
+    told: dict[str, list[DetectionScore]] = {}
+    for one in runs[1:]:
+        for counts, hidden in ((ALL, ()), (LEFT, ("invisible",))):
+            views, groups = _both(
+                found, runs[0], one, lambda thing, hidden=hidden: thing.pixels < least_px or thing.visibility in hidden
+            )
+            for fog in ("", *fogs(views)) if views else ():
+                inside = np.array([fog in ("", view.fog) for view in views])
+                drawn = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
+                things = _count(groups[1]) * inside
+                enough = len({view.scene for view, n in zip(views, things, strict=True) if n}) >= FEWEST_SCENES
+                numbers = _told(drawn[1] - drawn[0], enough)
+                row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(things.sum()))
+                told.setdefault(one.name, []).append(row)
+    return told
+
+
+def _both(
+    found: Bench, one: DetectorRun, other: DetectorRun, ignored: Callable[[LabelledThing], bool]
+) -> tuple[list[FoggedView], list[list[MatchedKind]]]:
+    """The views that both answered, and what each found there."""
+    shared = {v.name for v in found.items if all("boxes" in found.row(both, v) for both in (one, other))}
+    answers = [_answers(found, both, shared) for both in (one, other)] if shared else []
+    groups = [each.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored).groups[0] for each in answers]
+    return answers[0].views if answers else [], groups
+
+
+def fogs(views: Sequence[FoggedView]) -> list[str]:
+    """Ranges of visibility that there are, clear air first, then the thinner fog before the thicker."""
+    seen = {view.fog: math.inf if view.source.clear else float(view.source.mor_m or 0.0) for view in views}
+    return sorted(seen, key=lambda fog: -seen[fog])
+
+
+def _weights(views: Sequence[FoggedView]) -> Array:
+    """(1 + draws, P) how often each picture counts: once, and then as scenes are drawn; one row of too few scenes."""
+    names, place = np.unique([view.scene for view in views], return_inverse=True)
+    once = np.ones((1, len(views)))
+    if names.size < FEWEST_SCENES:
+        return once
+    return np.concatenate([once, statistics.draws(names.size)[:DRAWS, place]])
+
+
+def _told(drawn: Array, enough: bool = True) -> tuple[float, float | None, float | None]:
+    """Value and interval of numbers by draw, of which the first is of all scenes once; none where things are in too few
+    scenes to tell.
+    """
+    if len(drawn) == 1 or not enough or not np.isfinite(drawn[1:]).any():
+        return float(drawn[0]), None, None
+    return float(drawn[0]), *statistics.interval(drawn[1:])
+
+
+def _count(group: Sequence[MatchedKind]) -> Array:
+    """(P,) things that count in each picture."""
+    return np.sum([one.things for one in group], axis=0)
+
+
+@functools.cache
+def _between(edges: tuple[float, ...], value: float, what: str) -> str:
+    """The name of the range of `edges` in which a length lies.
+
+    >>> _between((0.0, 50.0, 100.0), 50.0, "MOR"), _between((0.0, 50.0, float("inf")), 60.0, "")
+    ('MOR 50 to 100 m', 'over 50 m')
+    """
+    place = max(n for n, edge in enumerate(edges[:-1]) if value >= edge or n == 0)
+    low, high = edges[place], edges[place + 1]
+    text = f"over {low:g} m" if math.isinf(high) else f"under {high:g} m" if low == 0.0 else f"{low:g} to {high:g} m"
+    return f"{what} {text}".strip()

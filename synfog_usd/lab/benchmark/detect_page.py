@@ -1,0 +1,200 @@
+"""What the detection bench leaves for people: tables in Markdown, CSV and LaTeX, and pictures with boxes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from synfog_usd.base import files
+from synfog_usd.lab.benchmark import page
+from synfog_usd.lab.benchmark.bench import Bench
+from synfog_usd.lab.benchmark.detect import (
+    ALL,
+    LEFT,
+    SIZES_PX,
+    STATES,
+    DetectionScore,
+    DetectionScores,
+    FoggedView,
+    fogs,
+)
+
+COLOURS = {"visible": "#2f9e6e", "faint": "#e5a00d", "invisible": "#d6404a", "": "#9aa4ad"}
+"""Of true boxes, as the gallery has them."""
+
+FOUND = "#38b6ff"
+SURE = 0.3
+"""Boxes of a lower score are not drawn."""
+
+METRICS = ("AP", "AP50", "AP75", "AR")
+
+Scored = Mapping[str, DetectionScores]
+"""By the name of the detector."""
+
+
+def write(bench: Bench, scored: Scored, ranks: Mapping[str, int], out: Path) -> None:
+    """Write table.md, table.csv, table.tex and pictures.png.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    files.write_bytes(out / "table.md", markdown(bench, scored, ranks).encode())
+    files.write_bytes(out / "table.csv", _csv(scored, ranks).encode())
+    files.write_bytes(out / "table.tex", _latex(scored, ranks).encode())
+    _pictures(bench, out / "pictures.png")
+
+
+def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
+    """The tables, and what they rest on."""
+    views: Sequence[FoggedView] = bench.items
+    names = sorted(ranks, key=lambda name: (ranks[name], -_value(scored[name].one(ALL, "AP"))))
+    lines = [
+        "# Detection bench",
+        "",
+        f"{len(views)} pictures of {len({view.scene for view in views})} scenes. COCO's average precision (AP, the "
+        "mean over overlaps of 0.50 to 0.95) and recall (AR, of 100 boxes of a class), means over classes; in brackets "
+        "the interval at 95 % over scenes. Detectors share a rank where the difference in AP of all things may be "
+        "chance.",
+        "",
+        f"**{LEFT.capitalize()}:** things that no camera can see (`invisible`) are regions in which boxes are neither "
+        "right nor wrong.",
+        "",
+        f"| rank | detector | counts | {' | '.join(METRICS)} | things | pictures |",
+        f"|---|---|---|{'---|' * len(METRICS)}---|---|",
+    ]
+    for name in names:
+        for counts in (ALL, LEFT):
+            cells = " | ".join(_cell(scored[name].one(counts, metric)) for metric in METRICS)
+            things = getattr(scored[name].one(counts, "AP"), "things", 0)
+            answered = f"{scored[name].pictures} of {len(views)}"
+            lines.append(f"| {ranks[name]} | {name} | {counts} | {cells} | {things} | {answered} |")
+    for title, by, groups in (
+        ("AP by visibility (MOR)", "fog", fogs(views)),
+        ("AP by distance", "distance", _groups(scored, "distance")),
+        ("AP by size, as COCO has it", "size", list(SIZES_PX)),
+    ):
+        rows = [
+            [name, counts, *(_cell(scored[name].one(counts, "AP", by, group)) for group in groups)]
+            for name in names
+            for counts in (ALL, LEFT)
+        ]
+        lines += ["", f"## {title}", "", *_table(["detector", "counts", *groups], rows)]
+    lines += _gained(scored, names, fogs(views))
+    lines += ["", "## AR by what fog leaves of a thing", ""]
+    rows = [[name, *(_counted(scored[name].one(ALL, "AR", "visibility", one)) for one in STATES)] for name in names]
+    lines += _table(["detector", *STATES], rows)
+    lost = [
+        [name, by.removeprefix("lost in "), *cells]
+        for name in names
+        for by in dict.fromkeys(row.by for row in scored[name].rows if row.metric == "AR lost")
+        if (cells := _lost(scored[name], by))
+    ]
+    if lost:
+        head = ["detector", "fog", "AR lost", *(f"of {state} things" for state in STATES), "share of invisible ones"]
+        lines += ["", "## What fog costs", ""]
+        lines += ["Found in clear air less found in fog. What is lost of invisible things is no detector's fault.", ""]
+        lines += _table(head, lost)
+    lines += page.unanswered(bench)
+    return "\n".join([*lines, ""])
+
+
+def _gained(scored: Scored, names: Sequence[str], seen: Sequence[str]) -> list[str]:
+    """A table beside the first detector, where there are two."""
+    by = {name: next((row.by for row in scored[name].rows if row.metric == "AP gained"), "") for name in names}
+    rows = [
+        [name, counts, *(_cell(scored[name].one(counts, "AP gained", by[name], fog), "+") for fog in ("", *seen))]
+        for name in names
+        for counts in (ALL, LEFT)
+        if by[name]
+    ]
+    if not rows:
+        return []
+    first = next(filter(None, by.values())).removeprefix("over ")
+    head = ["detector", "counts", "all pictures", *seen]
+    return ["", f"## AP above that of {first}", "", "Scenes are drawn for both together.", "", *_table(head, rows)]
+
+
+def _lost(scores: DetectionScores, by: str) -> list[str]:
+    whole = scores.one(ALL, "AR lost", by)
+    parts = [scores.one(ALL, "AR lost", by, state) for state in STATES]
+    if whole is None:
+        return []
+    invisible = _value(parts[-1])
+    share = f"{invisible / whole.value:.0%}" if whole.value > 0.0 and math.isfinite(invisible) else "-"
+    return [_cell(whole), *map(_cell, parts), share]
+
+
+def _groups(scored: Scored, by: str) -> list[str]:
+    return list(dict.fromkeys(row.group for scores in scored.values() for row in scores.rows if row.by == by))
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
+
+
+def _value(found: DetectionScore | None) -> float:
+    return math.nan if found is None else found.value
+
+
+def _cell(found: DetectionScore | None, sign: str = "") -> str:
+    if found is None or not math.isfinite(found.value):
+        return "-"
+    text = f"{found.value:{sign}.3f}"
+    return text if found.low is None else f"{text} ({found.low:{sign}.3f} to {found.high:{sign}.3f})"
+
+
+def _counted(found: DetectionScore | None) -> str:
+    return f"{_cell(found)}, {found.things} things" if found is not None else "-"
+
+
+def _csv(scored: Scored, ranks: Mapping[str, int]) -> str:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["detector", "rank", "counts", "by", "group", "metric", "value", "low", "high", "things"])
+    for name, scores in scored.items():
+        for row in scores.rows:
+            numbers = ["" if one is None or math.isnan(one) else f"{one:.6g}" for one in (row.value, row.low, row.high)]
+            table.writerow([name, ranks[name], row.counts, row.by, row.group, row.metric, *numbers, row.things])
+    return text.getvalue()
+
+
+def _latex(scored: Scored, ranks: Mapping[str, int]) -> str:
+    chosen = [(counts, metric) for counts in (ALL, LEFT) for metric in ("AP", "AP50", "AR")]
+    lines = []
+    for name in sorted(scored, key=lambda name: ranks[name]):
+        values = [_value(scored[name].one(*one)) for one in chosen]
+        lines.append([page.escaped(name), *("--" if math.isnan(value) else f"{value:.3f}" for value in values)])
+    head = ["Detector", *(metric if counts == ALL else f"{metric} left" for counts, metric in chosen)]
+    return page.latex(head, lines)
+
+
+def _pictures(bench: Bench, path: Path) -> None:
+    """A row a picture: what is there, coloured by what fog leaves of it, and what each detector finds."""
+    foggy = [view for view in bench.items if not view.source.clear] or list(bench.items)
+    strips = []
+    for view in page.spread(foggy):
+        true = [(thing.box, COLOURS[thing.visibility]) for thing in view.things]
+        strip = [_boxed(view, view.name, true)]
+        for one in bench.methods:
+            row = bench.row(one, view)
+            if "boxes" in row:
+                strip.append(_boxed(view, one.name, [(box[:4], FOUND) for box in row["boxes"] if box[4] >= SURE]))
+            else:
+                strip.append(page.no_answer(one.name))
+        strips.append(strip)
+    page.sheet(strips, path)
+
+
+def _boxed(view: FoggedView, caption: str, boxes: Sequence[tuple[Sequence[float], str]]) -> tuple[Any, str]:
+    from PIL import ImageDraw
+
+    picture, caption = page.tile(view.picture, caption)
+    scale = page.TILE_PX / view.source.labels.size_px[0]
+    draw = ImageDraw.Draw(picture)
+    for (left, top, width, height), colour in boxes:
+        draw.rectangle([scale * left, scale * top, scale * (left + width), scale * (top + height)], outline=colour)
+    return picture, caption

@@ -1,0 +1,253 @@
+"""Which methods are compared: the classics by name, and others' own, declared in YAML.
+
+    synfog: benchmark/1
+    methods:
+      - none
+      - dcp
+      - {name: mine, onnx: mine.onnx, multiple: 8}
+      - {name: ours, torch: ours.pt2}
+      - {name: theirs, command: [python, run.py, --in, "{in}", --out, "{out}"], takes: srgb.png, timeout_s: 60}
+
+A network, of ONNX or a torch module that torch.export or TorchScript saved, takes and gives R, G and B of
+(1, 3, H, W), `range: [0, 1]` unless it says [-1, 1]; with `takes: raw.dng` it takes the planes of the mosaic, see
+`raw`.  A command reads the file {in} and writes a PNG of the
+same size to {out}; `takes: raw.dng` hands it the RAW file.  A network or command works on one picture at a
+time, and has all cores, unless `at_once` says how many it may.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.base.yamlio import Located, load_file
+from synfog_usd.lab.benchmark.classics import CLASSICS
+
+SCHEMA = "benchmark/1"
+TIMEOUT_S = 60.0
+PNG = "srgb.png"
+OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb", "at_once")
+"""What methods of every kind are declared by."""
+
+FIELDS = (*OF_ALL, "torch", "range", "multiple")
+
+
+@dataclass(frozen=True)
+class Method:
+    """What is asked about pictures, in a child with limits.
+
+    Attributes:
+        name: for tables.
+        kind: 'classic', 'onnx', 'torch' or 'command'.
+        target: the classic's name, the network's path or the command's folder.
+        command: words, with {in} and {out}.
+        takes: name of the file that it is given.
+        timeout_s: for one picture [s].
+        memory_gb: address space that each of its children may have [GB].
+        at_once: pictures that it may work on at once, each in a child of its own; 0 for as many as there are cores.
+        version: hash of all that decides its answers, so that old results are not taken for new ones.
+    """
+
+    suffix: ClassVar[str] = ""
+    """Of the file with its answer."""
+
+    name: str
+    kind: str
+    target: str = ""
+    command: tuple[str, ...] = ()
+    takes: str = PNG
+    timeout_s: float = TIMEOUT_S
+    memory_gb: float = 8.0
+    at_once: int = 1
+    version: str = ""
+
+
+@dataclass(frozen=True)
+class Defogger(Method):
+    """One way to see through fog; its answer is a picture.
+
+    Attributes:
+        range: smallest and largest number of a network's pictures.
+        multiple: a network's sides must be multiples of this [px]; pictures are padded by their mirror image.
+    """
+
+    suffix: ClassVar[str] = ".png"
+
+    range: tuple[float, float] = (0.0, 1.0)
+    multiple: int = 1
+
+
+@dataclass(frozen=True)
+class Measurer(Method):
+    """What measures answers, in children as well: its answer is a number by metric."""
+
+    suffix: ClassVar[str] = ".json"
+
+
+def chosen(words: Sequence[str]) -> tuple[Defogger, ...]:
+    """Methods by name, or from YAML files.
+
+    Args:
+        words: names of classics, and paths that end in .yaml.
+
+    Raises:
+        ParameterError: an unknown name, or a fault in a file, with its place.
+    """
+    found: list[Defogger] = []
+    for word in words:
+        if is_file(word):
+            found += [_method(entry, Path(word).parent) for entry in listed(Path(word), "methods")]
+        else:
+            found.append(_classic(word, ""))
+    refuse_twins(found)
+    if not found:
+        raise ParameterError(f"no method is named; it can be {', '.join(CLASSICS)}, or a YAML file")
+    return tuple(found)
+
+
+def is_file(word: str) -> bool:
+    """Whether a word names a file of methods."""
+    return word.endswith((".yaml", ".yml"))
+
+
+def refuse_twins(found: Sequence[Method]) -> None:
+    """Raise ParameterError where two have one name."""
+    names = [method.name for method in found]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ParameterError(f"two methods are called {twice!r}; give one another name")
+
+
+def _classic(name: str, place: str) -> Defogger:
+    if name not in CLASSICS:
+        raise ParameterError(
+            f"{place}method {name!r} is not known; it can be {', '.join(CLASSICS)}, or a YAML file."
+            f"{did_you_mean(name, list(CLASSICS))}"
+        )
+    return Defogger(name, "classic", target=name, at_once=0, version=_hash("classic", name, "1"))
+
+
+def listed(path: Path, kind: str) -> list[Located]:
+    """What stands under `kind`, 'methods' or 'detectors', of a file.
+
+    Raises:
+        ParameterError: it is no file of methods, or has none of them.
+    """
+    root = load_file(path, error=ParameterError)
+    fields = mapping(root, "a file of methods", ("synfog", "methods", "detectors"))
+    if "synfog" not in fields or fields["synfog"].plain() != SCHEMA:
+        raise ParameterError(f"{root.place}: a file of methods begins with 'synfog: {SCHEMA}'")
+    found = fields.get(kind)
+    if found is None or not isinstance(found.value, list) or not found.value:
+        raise ParameterError(f"{root.place}: {kind} is a list of names and mappings, and has at least one")
+    return list(found.value)
+
+
+def _method(entry: Located, folder: Path) -> Defogger:
+    if isinstance(entry.value, str):
+        return _classic(entry.value, f"{entry.place}: ")
+    fields = mapping(entry, "a method", FIELDS)
+    more: dict[str, Any] = {}
+    if "multiple" in fields:
+        more["multiple"] = int(number(fields["multiple"], "multiple", 1, 4096))
+    if "range" in fields:
+        value = fields["range"].plain()
+        if value not in ([0, 1], [-1, 1]):
+            raise ParameterError(f"{fields['range'].place}: range is {value!r}; it takes [0, 1] or [-1, 1]")
+        more["range"] = (float(value[0]), float(value[1]))
+    return Defogger(**declared(entry, fields, folder, more, raw=True), **more)
+
+
+def declared(
+    entry: Located, fields: dict[str, Located], folder: Path, more: Mapping[str, Any], *, raw: bool = False
+) -> dict[str, Any]:
+    """The fields of `Method` that an entry declares.
+
+    Args:
+        entry, fields: the entry, and what stands in it.
+        folder: to which its paths are relative.
+        more: what else decides its answers.
+        raw: whether a network may be a torch module, and take RAW.
+
+    Raises:
+        ParameterError: a fault, with its place.
+    """
+    name = fields["name"].plain() if "name" in fields else None
+    if not isinstance(name, str) or not name:
+        raise ParameterError(f"{entry.place}: a method needs a name")
+    ways = [way for way in ("onnx", "torch", "command") if way in fields]
+    if len(ways) != 1:
+        torch = ", torch: FILE" if raw else ""
+        raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE{torch} and command: [WORDS]")
+    own: dict[str, Any] = {}
+    for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0)):
+        if key in fields:
+            own[key] = float(number(fields[key], key, low, high))
+    if "takes" in fields:
+        value = fields["takes"].plain()
+        plain = isinstance(value, str) and Path(value).name == value
+        if not plain or (ways != ["command"] and not (raw and value.endswith(".dng"))):
+            raise ParameterError(
+                f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
+                f"{', or of a RAW file, for a network' if raw else ''}"
+            )
+        own["takes"] = value
+    decides = {**own, **more}
+    if "at_once" in fields:
+        own["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
+    if ways != ["command"]:
+        kind = ways[0]
+        value = fields[kind].plain()
+        path = folder / str(value)
+        if not isinstance(value, str) or not path.is_file():
+            raise ParameterError(f"{fields[kind].place}: {path}: no such file")
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        version = _hash(kind, digest, decides)
+        return {"name": name, "kind": kind, "target": str(path.resolve()), "version": version, **own}
+    words = fields["command"].plain()
+    place = fields["command"].place
+    if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):
+        raise ParameterError(f"{place}: command is a list of words")
+    if not any("{in}" in word for word in words) or not any("{out}" in word for word in words):
+        raise ParameterError(f"{place}: a command names {{in}}, the picture, and {{out}}, the file that it writes")
+    if shutil.which(words[0]) is None:
+        raise ParameterError(f"{place}: {words[0]}: no such program")
+    hashes = [hashlib.sha256((folder / w).read_bytes()).hexdigest() for w in words if (folder / w).is_file()]
+    version = _hash("command", words, hashes, decides)
+    target = str(folder.resolve())
+    return {"name": name, "kind": "command", "target": target, "command": tuple(words), "version": version, **own}
+
+
+def number(node: Located, key: str, low: float, high: float) -> float:
+    """A number of an entry.
+
+    Raises:
+        ParameterError: it is none, or outside of its range.
+    """
+    value = node.plain()
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ParameterError(f"{node.place}: {key} is {value!r}; it takes a number, {low} to {high}")
+    return value
+
+
+def mapping(node: Located, what: str, known: Sequence[str]) -> dict[str, Located]:
+    """The entries of a mapping; what is not `known` is refused."""
+    if not isinstance(node.value, dict):
+        raise ParameterError(f"{node.place}: {what} is a mapping")
+    fields: dict[str, Located] = node.value
+    for key in fields:
+        if key not in known:
+            raise ParameterError(
+                f"{fields[key].place}: {what} has no {key!r}; it takes {', '.join(known)}."
+                f"{did_you_mean(key, list(known))}"
+            )
+    return fields
+
+
+def _hash(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]

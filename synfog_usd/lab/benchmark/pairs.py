@@ -1,0 +1,158 @@
+"""Pairs of a foggy picture and the same view in clear air: from sets, bakes, and folders of other data sets."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.dataset.sets import index
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+FOGGY_FOLDERS, CLEAR_FOLDERS = ("hazy", "haze", "foggy", "input"), ("gt", "clear", "GT", "target")
+"""How the folders of RESIDE (hazy, clear or gt), O-HAZE (hazy, GT) and their like are called."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A view with and without fog.
+
+    Attributes:
+        name: unlike any other's, for tables and results.
+        scene: pairs of one scene are not independent; intervals are over scenes.
+        fog: name of the fog, or '' where the source does not say.
+        clear, foggy: pictures.
+        files: of the foggy shot, by name, for methods that take another than the picture.
+    """
+
+    name: str
+    scene: str
+    fog: str
+    clear: Path
+    foggy: Path
+    files: dict[str, Path] = field(default_factory=dict)
+
+
+def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split: str = "") -> list[Pair]:
+    """All pairs of a source, in an order that depends on its names alone.
+
+    Args:
+        source: folder of a set, of a bake, or with one folder of foggy and one of clear pictures.
+        picture: which output of a set or bake is compared.
+        clear: the fog that counts as none.
+        split: of a set; all if left out.
+
+    Raises:
+        ParameterError: no such folder, or no pair in it.
+    """
+    if not source.is_dir():
+        raise ParameterError(f"{source}: no such folder")
+    if index.is_set(source):
+        found = list(_of_set(source, picture, clear, split))
+    elif (source / "bake.json").is_file():
+        found = list(_of_bake(source, picture, clear))
+    else:
+        found = list(_of_folders(source))
+    if not found:
+        raise ParameterError(
+            f"{source}: no pair of a foggy picture and the same view in clear air. It takes a set or bake with "
+            f"{picture} under {clear!r} and another fog{f', split {split!r},' if split else ''} or a folder with one "
+            f"of {', '.join(FOGGY_FOLDERS)} beside one of {', '.join(CLEAR_FOLDERS)}"
+        )
+    return sorted(found, key=lambda pair: pair.name)
+
+
+def truth_of(shot: Path, *, picture: str = "srgb.png", clear: str = "clear") -> Path:
+    """The picture of a shot's view without fog, as `find` pairs it.
+
+    Args:
+        shot: folder of a foggy or clear shot in a set or bake, as out/sky/mor150; or a picture, which is the truth
+            itself.
+        picture: which output of a set or bake is compared.
+        clear: the fog that counts as none.
+
+    Raises:
+        ParameterError: no such shot, or no clear one of its view.
+    """
+    if shot.is_file():
+        return shot
+    here = shot.resolve()
+    for source in (here, *here.parents):
+        if not (index.is_set(source) or (source / "bake.json").is_file()):
+            continue
+        pairs = _of_set(source, picture, clear, "") if index.is_set(source) else _of_bake(source, picture, clear)
+        for pair in pairs:
+            if here in (pair.foggy.parent.resolve(), pair.clear.parent.resolve()):
+                return pair.clear
+    what = "no shot of a set or bake" if shot.is_dir() else "no such folder or picture"
+    raise ParameterError(
+        f"{shot}: {what} with {picture} and the same view under {clear!r}; it takes a folder as out/<lighting>/<fog>, "
+        "or a picture to compare with"
+    )
+
+
+def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair]:
+    views: dict[tuple[int, str, str, str], Path] = {}
+    foggy = []
+    for one in index.pictures(source):
+        if (split and one.split != split) or picture not in one.files:
+            continue
+        view = (one.scene, one.lighting, one.camera, one.pipeline)
+        if one.fog == clear:
+            views[view] = one.files[picture]
+        else:
+            foggy.append((view, one))
+    for view, one in foggy:
+        if view in views:
+            words = [f"{one.scene:06d}", one.lighting, one.camera.strip("/").replace("/", "_"), one.pipeline, one.fog]
+            yield Pair(
+                "_".join(word for word in words if word),
+                f"{one.scene:06d}",
+                one.fog,
+                views[view],
+                one.files[picture],
+                dict(one.files),
+            )
+
+
+def _of_bake(source: Path, picture: str, clear: str) -> Iterator[Pair]:
+    try:
+        rows = json.loads((source / "bake.json").read_text(encoding="utf-8"))["shots"]
+        shots = [(str(row["lighting"]), str(row["fog"]), source / row["folder"], sorted(row["files"])) for row in rows]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ParameterError(f"{source / 'bake.json'}: is no manifest of a bake ({error})") from error
+    of_clear = {lighting: folder / picture for lighting, fog, folder, _ in shots if fog == clear}
+    for lighting, fog, folder, names in shots:
+        if fog != clear and picture in names and lighting in of_clear and of_clear[lighting].is_file():
+            files = {name: folder / name for name in names}
+            yield Pair(f"{lighting}_{fog}", lighting, fog, of_clear[lighting], folder / picture, files)
+
+
+def _of_folders(source: Path) -> Iterator[Pair]:
+    foggy, clear = (
+        next((source / name for name in names if (source / name).is_dir()), None)
+        for names in (FOGGY_FOLDERS, CLEAR_FOLDERS)
+    )
+    if foggy is None or clear is None:
+        return
+    known = {scene_of(path): path for path in sorted(clear.iterdir()) if path.suffix.lower() in SUFFIXES}
+    for path in sorted(foggy.iterdir()):
+        scene = scene_of(path)
+        if path.suffix.lower() in SUFFIXES and scene in known:
+            yield Pair(path.stem, scene, "", known[scene], path, {path.name: path})
+
+
+def scene_of(path: Path) -> str:
+    """What foggy and clear pictures of one view have in common.
+
+    RESIDE: 0001_0.85_0.04.png and 0001.png; O-HAZE: 01_outdoor_hazy.jpg and 01_outdoor_GT.jpg.
+
+    >>> scene_of(Path("0001_0.85_0.04.png")), scene_of(Path("01_outdoor_hazy.jpg")), scene_of(Path("12_GT.png"))
+    ('0001', '01_outdoor', '12')
+    """
+    stem = re.sub(r"[_-](hazy|haze|foggy|gt|clear)$", "", path.stem, flags=re.IGNORECASE)
+    return re.sub(r"(_\d+(\.\d+)?)+$", "", stem)

@@ -1,0 +1,145 @@
+"""A suite's table and drawings into a page of the documentation, so that no number is typed by hand.
+
+From a shell: `python -m synfog_usd.lab.study.pages.report OUT docs/speed-accuracy.md`.  Reads
+each `OUT/<stage>/chart.csv` and `notes.txt`, writes the table and the drawings over all
+anew, copies the drawings to `images/` beside the page, and replaces
+what stands between the page's two marks.  Renders nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from synfog_usd.base import files
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.numbers import QUALITIES
+from synfog_usd.lab.study import drawing, page
+from synfog_usd.lab.study.chart import write_suite
+from synfog_usd.lab.study.points import TARGETS, Point, lines, read, summary
+
+BEGIN, END = "<!-- suite: written by synfog_usd.lab.study.pages.report; do not edit -->", "<!-- end of suite -->"
+
+
+def report(out: Path, document: Path) -> None:
+    """Bring `document` up to what lies in `out`.
+
+    Raises:
+        ParameterError: no chart in `out`, or no marks in `document`.
+    """
+    found = sorted(out.glob("*/chart.csv"))
+    if not found:
+        raise ParameterError(f"{out}: no <stage>/chart.csv in it; make it with synfog-usd chart --suite -o {out}")
+    before, begin, rest = document.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ParameterError(f"{document}: has not the two marks {BEGIN!r} and {END!r}, between which the numbers go")
+    points = {path.parent.name: read(path.read_text(encoding="utf-8")) for path in found}
+    write_suite(points, out)
+    images = document.parent / "images"
+    for name in ("suite", "mottle"):
+        files.write_bytes(images / f"chart_{name}.png", (out / f"{name}.png").read_bytes())
+    notes = {path.parent.name: (path.parent / "notes.txt").read_text(encoding="utf-8").splitlines() for path in found}
+    text = f"{before}{BEGIN}\n\n{section(points, notes)}\n{END}{after}"
+    files.write_bytes(document, text.encode())
+
+
+def section(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[str]]) -> str:
+    """What stands between the marks, in Markdown."""
+    rows = {name: summary(name, line) for name, line in points.items()}
+    first = next(iter(points.values()))[0]
+    own = [line[0].reference_rms for line in points.values()]
+    parts = [
+        f"{len(points)} stages, {first.width} x {first.height}, `{first.variant}` on {first.machine}. References are "
+        f"known to {drawing.percent(min(own))} to {drawing.percent(max(own))}.",
+        "![Seconds against error on each stage](images/chart_suite.png)",
+        "![Seconds against mottle on each stage](images/chart_mottle.png)",
+        "### The words of quality\n\nSeconds, paths of a pixel, total error, mottle.\n\n" + _words(points),
+        *(_table(index, measure, target, rows) for index, (measure, target) in enumerate(TARGETS)),
+        "### At the most samples\n\nSamples; noise, bias, mottle.\n\n" + _errors(points),
+        "### Where each fails\n\n" + _failures(points, notes),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _words(points: Mapping[str, Sequence[Point]]) -> str:
+    text = f"| stage | {' | '.join(f'`{word}`' for word in QUALITIES)} |\n|---|{'---|' * len(QUALITIES)}\n"
+    for name, line in points.items():
+        by_word = {point.quality: point for point in line if point.quality}
+        cells = []
+        for word in QUALITIES:
+            point = by_word.get(word)
+            cells.append(
+                f"{drawing.duration(point.seconds)}, {point.samples}, {drawing.percent(point.relative_rms)}, "
+                f"{drawing.percent(point.mottle)}"
+                if point
+                else "no time"
+            )
+        text += f"| {name} | {' | '.join(cells)} |\n"
+    return text.rstrip()
+
+
+def _failures(
+    points: Mapping[str, Sequence[Point]],
+    notes: Mapping[str, Sequence[str]],
+) -> str:
+    """A line for each model and setting: stages where its bias is seen, and why it is not there."""
+    names = list(dict.fromkeys(point.line for line in points.values() for point in line))
+    names += [name for stage in notes.values() for note in stage if (name := note.partition(":")[0]) not in names]
+    text = "| model | bias of a pixel that is seen | left out |\n|---|---|---|\n"
+    for name in dict.fromkeys(names):
+        last = {stage: found[name][-1] for stage, line in points.items() if name in (found := lines(line))}
+        biased = [f"{stage} {drawing.percent(p.bias_rms)}" for stage, p in last.items() if p.bias_is_seen]
+        out = [
+            f"{stage}: {note.partition(': ')[2]}"
+            for stage, told in notes.items()
+            for note in told
+            if note.startswith(f"{name}: ")
+        ]
+        text += f"| `{name}` | {', '.join(biased) or 'none'} | {'; '.join(out)} |\n"
+    return text.rstrip()
+
+
+def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    text = f"### Seconds to {page.target_words(measure, target)}\n\n"
+    text += (
+        "| stage | fastest | seconds | without bias | seconds | best peer | seconds | peer / fastest | peer / without "
+        "bias |\n"
+    )
+    text += "|---|---|---|---|---|---|---|---|---|\n"
+    for name, all_targets in rows.items():
+        row = all_targets[index]
+        cells = [name]
+        for who in ("best", "unbiased", "peer"):
+            cells += [str(row[who]) or "none", page.seconds(row, who)]
+        cells += [page.ratio(row), page.ratio(row, "unbiased")]
+        text += f"| {' | '.join(cells)} |\n"
+    return text.rstrip()
+
+
+def _errors(points: Mapping[str, Sequence[Point]]) -> str:
+    names = list(dict.fromkeys(point.line for line in points.values() for point in line))
+    text = f"| stage | {' | '.join(names)} |\n|---|{'---|' * len(names)}\n"
+    for name, line in points.items():
+        last = {key: found[-1] for key, found in lines(line).items()}
+        cells = []
+        for key in names:
+            point = last.get(key)
+            if point is None:
+                cells.append("")
+                continue
+            bias = drawing.percent(point.bias_rms if point.bias_is_seen else point.bias_limit)
+            cells.append(
+                f"{point.samples}; {drawing.percent(point.noise_rms)}, {'' if point.bias_is_seen else '< '}{bias}, "
+                f"{drawing.percent(point.mottle)}"
+            )
+        text += f"| {name} | {' | '.join(cells)} |\n"
+    return text.rstrip()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit("usage: python -m synfog_usd.lab.study.pages.report OUT docs/speed-accuracy.md")
+    report(Path(sys.argv[1]), Path(sys.argv[2]))
