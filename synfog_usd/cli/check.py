@@ -56,6 +56,8 @@ def look(
     Raises:
         StageError: the stage cannot be opened at all, or has no such choice.
     """
+    from synfog_usd.render.load import refusal
+
     opened = usd.open_stage(stage, allow=allow)
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     notes: dict[Note, None] = {}
@@ -74,7 +76,7 @@ def look(
             if usd.cameras(opened):
                 scene = known.within(opened) if known is not None and not lighting else None
                 if scene is None:
-                    known = Exchange(opened, before=known)
+                    known = Exchange(opened, before=known, refusal=refusal)
                     scene = known.scene
                     light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
                     why = None if any(one.rule == "no-light" for one in found) else why_black(scene)

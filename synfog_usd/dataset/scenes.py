@@ -5,6 +5,7 @@ Takes an opened stage, a plan and a graph; gives a scene for a shot, as wide and
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,7 @@ class Scenes:
     def of(self, shot: Shot) -> SceneDict:
         """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
         from synfog_usd import stage as usd
+        from synfog_usd.render.load import refusal
         from synfog_usd.translate import Exchange, outdoors, translate
 
         if shot in self.known:
@@ -53,6 +55,7 @@ class Scenes:
         first = plan.rig[0] if plan.rig else plan.camera
         choices: dict[str, Any] = {"camera": first, "frame": plan.frame, "resolution": plan.size}
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
+        choices["refusal"] = functools.partial(refusal, variant=plan.variant)
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(

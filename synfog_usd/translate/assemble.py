@@ -33,7 +33,7 @@ from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.instanced import FEWEST_KINDS, MOST_KINDS, MOST_TRIANGLES, Around, InstancePrimvars
 from synfog_usd.translate.lanes import lanes
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
-from synfog_usd.translate.material import Materials, is_empty
+from synfog_usd.translate.material import Materials, Refusal, is_empty
 from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.primvars import Given
@@ -60,6 +60,7 @@ def translate(
     lights: str = "auto",
     light_scale: float = 1.0,
     sun_lux: float | None = None,
+    refusal: Refusal | None = None,
 ) -> SceneDict:
     """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
 
@@ -78,6 +79,8 @@ def translate(
         light_scale: what all lights are multiplied by, > 0.
         sun_lux: illuminance across the sun's rays [lx], > 0, to which all lights are multiplied instead;
             the sun is all distant lights together.
+        refusal: why the renderer does not draw a BSDF, '' where it does, as `render.load.refusal` says it; a native
+            material that is refused becomes a note. None believes all, and the renderer refuses the scene.
 
     Raises:
         ParameterError: `lights` is none of these, or `sun_lux` is asked of a stage without a sun.
@@ -91,6 +94,7 @@ def translate(
         "lights": lights,
         "light_scale": light_scale,
         "sun_lux": sun_lux,
+        "refusal": refusal,
     }
     return with_boundaries(stage, fog=fog, **choices)[0]
 
@@ -124,6 +128,7 @@ def with_boundaries(
     lights: str,
     light_scale: float,
     sun_lux: float | None,
+    refusal: Refusal | None = None,
     made: TakenOver | None = None,
 ) -> tuple[SceneDict, tuple[str, ...], Outlook]:
     """What `translate` gives, the paths of all fog boundaries of the stage, whatever visibility is asked for, and what
@@ -136,7 +141,8 @@ def with_boundaries(
     mover = Mover(stage, space, time, half_exposure(stage, time, eye.path))
     made = made if made is not None and stage is given else TakenOver()  # a pose is on layers of its own
     images = ImageReader(notes, made.images)
-    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover, images, made.meshes)
+    materials = Materials(time, notes, images, refusal)
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover, materials, made.meshes)
     with _uncollected():
         found = walk(stage, time, notes)
         scene.build(found)
@@ -303,12 +309,11 @@ class _Assembler:
         notes: Diagnostics,
         chooser: Chooser,
         mover: Mover,
-        images: ImageReader,
+        materials: Materials,
         meshes: Meshes,
     ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
-        self.images = images
-        self.materials = Materials(time, notes, self.images)
+        self.images, self.materials = materials.images, materials
         self.bindings = Bindings(stage, time, notes, self.materials)
         self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit, meshes)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")

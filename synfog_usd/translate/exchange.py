@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd
@@ -29,6 +30,7 @@ from synfog_usd.translate.assemble import (
 )
 from synfog_usd.translate.camera import half_exposure
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.material import Refusal
 from synfog_usd.translate.space import Space
 from synfog_usd.translate.walk import walk
 
@@ -42,7 +44,7 @@ class Exchange:
     Args:
         stage: with its variants chosen.
         rig: prim paths of further cameras, which look at the same moment.
-        camera, frame, resolution, fog, lights, light_scale, sun_lux: see `translate`.
+        camera, frame, resolution, fog, lights, light_scale, sun_lux, refusal: see `translate`.
         before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
 
     Attributes:
@@ -63,11 +65,12 @@ class Exchange:
         lights: str = "auto",
         light_scale: float = 1.0,
         sun_lux: float | None = None,
+        refusal: Refusal | None = None,
         rig: Sequence[str] = (),
         before: Exchange | None = None,
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
-        light = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux}
+        light: dict[str, Any] = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux, "refusal": refusal}
         self._made = TakenOver() if before is None else before._made
         self.scene, boundaries, seen = with_boundaries(
             stage, camera=camera, frame=frame, resolution=resolution, fog=fog, **light, made=self._made

@@ -21,7 +21,16 @@ from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import tell_inputs
 from synfog_usd.translate.misfits import tell_misfits
-from synfog_usd.translate.networks import RefusedError, fed_by, is_textured, native, omni_texture
+from synfog_usd.translate.native import (
+    FIRST_SQUARE,
+    VERTEX_COLOR,
+    RefusedError,
+    is_surface,
+    is_textured,
+    native,
+    reads_vertices,
+)
+from synfog_usd.translate.networks import fed_by, omni_texture
 from synfog_usd.translate.primvars import Given
 from synfog_usd.translate.shading import (
     GREY,
@@ -100,6 +109,9 @@ class Finish:
 Look: TypeAlias = Callable[[str], Given | None]
 """From the name of a primvar to what it gives to a shape."""
 
+Refusal: TypeAlias = Callable[[Mapping[str, Any]], str]
+"""Why the renderer does not draw a BSDF; '' where it does."""
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -121,13 +133,18 @@ class Asked:
 class Materials:
     """All materials of a scene, each made once.
 
+    Args:
+        refusal: what a renderer says to Mitsuba's own materials; None believes them.
+
     Attributes:
         bsdfs: 'mat_*' -> BSDF, in the order in which they were made.
         reflectance_of: 'mat_*' -> spectrum, of those that have one; see `SceneDict`.
     """
 
-    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader) -> None:
-        self.time, self.notes, self.images = time, notes, images
+    def __init__(
+        self, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader, refusal: Refusal | None = None
+    ) -> None:
+        self.time, self.notes, self.images, self.refusal = time, notes, images, refusal
         self.bsdfs: dict[str, dict[str, Any]] = {}
         self.reflectance_of: dict[str, Array] = {}
         self._asked: dict[Any, dict[Asked, None]] = {}
@@ -306,13 +323,7 @@ class Materials:
         own = material.ComputeSurfaceSource("mitsuba")[0]
         if own and shader_id(own.GetPrim()).startswith("mitsuba_"):
             try:
-                bsdf = native(own, self.time, self.images, self.notes)
-                textured = is_textured(bsdf)
-                return Finish(
-                    self._add(bsdf),
-                    uv=UvSource("st") if textured else None,
-                    plain=self._add(_without_textures(bsdf)) if textured else None,
-                )
+                return self._native(own)
             except RefusedError as error:
                 self.notes.warn(path, f"outputs:mitsuba:surface is not drawn: {error}")
         sources = [material.ComputeSurfaceSource(context)[0] for context in _CONTEXTS]
@@ -358,6 +369,26 @@ class Materials:
             f"displayColor or grey",
         )
         return replace(self.colored(GREY), unknown=True)
+
+    def _native(self, shader: UsdShade.Shader) -> Finish:
+        """One of Mitsuba's own materials.
+
+        Raises:
+            RefusedError: it is none that can be drawn.
+        """
+        bsdf = native(shader, self.time, self.images, self.notes)
+        if not is_surface(bsdf):
+            raise RefusedError(f"{shader.GetPath()}: {bsdf['type']} is a texture and no surface")
+        colored = reads_vertices(bsdf)
+        if self.refusal is not None and (why := self.refusal(bsdf)):
+            raise RefusedError(f"{shader.GetPath()}: {why}")
+        textured = is_textured(bsdf)
+        return Finish(
+            self._add(bsdf),
+            uv=UvSource("st") if textured else None,
+            plain=self._add(_without_textures(bsdf)) if textured else None,
+            colored=colored,
+        )
 
     def _omni_surface(self, shader: UsdShade.Shader, path: object, look: Look, asked: dict[Asked, None]) -> Finish:
         """An OmniSurface shader by its constants."""
@@ -540,7 +571,7 @@ def is_empty(material: UsdShade.Material) -> bool:
 READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
 """How the shaders begin that give a primvar of the shape."""
 
-_VERTEX_COLOR = {"type": "mesh_attribute", "name": "vertex_color"}
+_VERTEX_COLOR = {"type": "mesh_attribute", "name": VERTEX_COLOR}
 
 
 @dataclass(frozen=True)
@@ -833,10 +864,12 @@ def _cut(pixels: Any, threshold: float) -> Any:
 
 def _without_textures(part: dict[str, Any]) -> dict[str, Any]:
     """The same BSDF with each texture replaced by its texel at (0, 0): what a reader's default of st gives."""
-    if part["type"] == "normalmap":
-        return _without_textures(part["bsdf"])
+    if part["type"] in ("normalmap", "bumpmap"):
+        return _without_textures(next(one for one in part.values() if is_surface(one)))
     result: dict[str, Any] = {}
     for name, value in part.items():
+        while isinstance(value, dict) and value["type"] == "checkerboard":
+            value = value.get("color0", FIRST_SQUARE)
         if isinstance(value, dict) and value["type"] == "bitmap":
             raw = bool(value.get("raw", False))
             pixels, begin = value["bitmap"], value.get("to_uv", np.eye(3))[:2, 2] + 1e-9

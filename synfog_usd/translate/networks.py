@@ -1,12 +1,11 @@
-"""Shader networks of other dialects: MaterialX images, OmniPBR's own textures, Mitsuba's plugins.
+"""Shader networks of other dialects: MaterialX images, OmniPBR's own textures.
 
-Takes shader prims; gives texture nodes, and native BSDFs.  What MaterialX nodes make
+Takes shader prims; gives texture nodes.  What MaterialX nodes make
 of a picture on its way is worked out in `nodes`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +14,6 @@ from pxr import Gf, Sdf, Usd, UsdShade
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
-from synfog_usd.base.errors import did_you_mean
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.nodes import IMAGES, MOST_PIXELS, Graph, UnknownNodeError
 from synfog_usd.translate.texture import (
@@ -35,51 +33,6 @@ from synfog_usd.translate.texture import (
 _ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "black"}
 _CHANNELS = {"outr": "r", "outx": "r", "outg": "g", "outy": "g", "outb": "b", "outz": "b", "outa": "a", "outw": "a"}
 _STEPS = 12
-
-_TEXTURES = ("bitmap", "checkerboard", "mesh_attribute")
-_METALS_AND_GLASS = ("conductor", "roughconductor", "dielectric", "roughdielectric", "thindielectric")
-_COATED = ("diffuse", "plastic", "roughplastic", "principled", "principledthin")
-PLUGINS = frozenset(
-    (*_TEXTURES, *_METALS_AND_GLASS, *_COATED, "blendbsdf", "bumpmap", "mask", "normalmap", "null", "twosided")
-)
-"""Mitsuba's plugins that a material may name."""
-
-_IORS, _LOBES = ("int_ior", "ext_ior"), ("distribution", "alpha", "sample_visible")
-_REFLECTED = ("specular_reflectance", "specular_transmittance")
-_DISNEY = (
-    *("base_color", "roughness", "anisotropic", "spec_trans", "eta"),
-    *("spec_tint", "sheen", "sheen_tint", "flatness"),
-)
-_PARAMETERS = {
-    "diffuse": ("reflectance",),
-    "plastic": ("diffuse_reflectance", "nonlinear", _REFLECTED[0], *_IORS),
-    "roughplastic": ("diffuse_reflectance", "nonlinear", _REFLECTED[0], *_IORS, *_LOBES),
-    "conductor": ("eta", "k", "material", _REFLECTED[0]),
-    "roughconductor": ("eta", "k", "material", _REFLECTED[0], *_LOBES, "alpha_u", "alpha_v"),
-    "dielectric": (*_IORS, *_REFLECTED),
-    "thindielectric": (*_IORS, *_REFLECTED),
-    "roughdielectric": (*_IORS, *_REFLECTED, *_LOBES, "alpha_u", "alpha_v"),
-    "principled": (
-        *(*_DISNEY, "metallic", "specular", "clearcoat", "clearcoat_gloss", "diffuse_reflectance_sampling_rate"),
-        *("main_specular_sampling_rate", "clearcoat_sampling_rate"),
-    ),
-    "principledthin": (
-        *(*_DISNEY, "diff_trans", "diffuse_reflectance_sampling_rate", "specular_reflectance_sampling_rate"),
-        "specular_transmittance_sampling_rate",
-    ),
-    "null": (),
-}
-"""What Mitsuba's surfaces take; those that hold others, and textures, are not listed."""
-
-_MEDIA = (
-    *("vacuum", "helium", "hydrogen", "air", "carbon dioxide", "water", "acetone", "ethanol", "carbon tetrachloride"),
-    *("glycerol", "benzene", "silicone oil", "bromine", "water ice", "fused quartz", "pyrex", "acrylic glass"),
-    *("polypropylene", "bk7", "sodium chloride", "amber", "pet", "diamond"),
-)
-"""Words for an index of refraction."""
-
-_FLAGS, _WORDS = ("nonlinear", "sample_visible"), {"distribution": ("beckmann", "ggx"), "material": None}
-"""Parameters that are true or false, and those that are words, with the words where they are few."""
 
 
 def fed_by(
@@ -438,85 +391,3 @@ def _desaturated(node: TextureNode, share: float, tint: list[float], images: Ima
     key = f"{node.file} for {node.path}"
     images.keep(key, np.ascontiguousarray(made, dtype=np.float32))
     return replace(node, file=key, color_space="raw", scale=_ONES, bias=_ZEROS)
-
-
-# -- Mitsuba's own --------------------------------------------------------------------------------------------------
-
-
-class RefusedError(Exception):
-    """A native material that is not drawn, and why."""
-
-
-def native(
-    shader: UsdShade.Shader, time: Usd.TimeCode, images: ImageReader, notes: Diagnostics, depth: int = 0
-) -> dict[str, Any]:
-    """A BSDF or texture of Mitsuba's from shaders named 'mitsuba_<plugin>', inputs named as the plugin's parameters.
-    An input that the plugin does not take is told and left out.
-
-    Raises:
-        RefusedError: a plugin that is no material, or a picture that cannot be read.
-    """
-    kind = shader_id(shader.GetPrim()).removeprefix("mitsuba_")
-    if kind not in PLUGINS or depth > 8:
-        raise RefusedError(
-            f"{shader.GetPath()}: {kind or 'a shader without id'} is none of Mitsuba's materials and textures"
-        )
-    made: dict[str, Any] = {"type": kind}
-    for source in shader.GetInputs():
-        name = source.GetBaseName()
-        output = producer(shader, name)
-        value = None if output is not None else value_of(shader, name, time)
-        if (wrong := _misfit(kind, name, value)) is not None:
-            notes.warn(shader.GetPath(), f"{name} {wrong}; drawn without it")
-            continue
-        if output is not None:
-            made[name] = native(UsdShade.Shader(output.GetPrim()), time, images, notes, depth + 1)
-            continue
-        if isinstance(value, Sdf.AssetPath):
-            pixels = images.read(value.resolvedPath, str(shader.GetPath())) if value.resolvedPath else None
-            if pixels is None or name != "filename":
-                raise RefusedError(f"{shader.GetPath()}: {name} {value.path} cannot be read as a picture")
-            made["bitmap"] = np.ascontiguousarray(pixels)
-        elif isinstance(value, (bool, int, float, str)):
-            made[name] = float(value) if name in _IORS and isinstance(value, int) else value
-        elif isinstance(value, (Gf.Vec3f, Gf.Vec3d, Gf.Vec3h)):
-            made[name] = {"type": "rgb", "value": [float(c) for c in value]}
-        elif value is not None:
-            raise RefusedError(f"{shader.GetPath()}: {name} of type {type(value).__name__} is not known")
-    if kind == "bitmap" and "bitmap" not in made:
-        raise RefusedError(f"{shader.GetPath()}: a bitmap without a filename")
-    return made
-
-
-def _misfit(kind: str, name: str, value: Any) -> str | None:
-    """Why a plugin does not take a parameter's value, or the parameter; None where it does."""
-    known = _PARAMETERS.get(kind)
-    if known is None:
-        return None
-    if name not in known:
-        return f"is no parameter of {kind}, which takes {', '.join(known) or 'none'}.{did_you_mean(name, known)}"
-    if value is None or (name in _IORS and isinstance(value, str) and value in _MEDIA):
-        return None
-    if name in _FLAGS:
-        return None if isinstance(value, bool) else f"is {value!r}, and true or false is wanted"
-    if name in _WORDS:
-        words = _WORDS[name]
-        fits = isinstance(value, str) and (words is None or value in words)
-        return None if fits else f"is {value!r}, and {' or '.join(words or ('a word',))} is wanted"
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if number:
-        bad = not math.isfinite(value) or (name in _IORS and value <= 0.0)
-        return f"is {value:g}, which cannot be drawn" if bad else None
-    alone = name in _IORS or name.endswith("_rate") or (kind == "roughplastic" and name == "alpha")
-    alone = alone or (kind == "principled" and name in ("eta", "specular"))
-    if not isinstance(value, (Gf.Vec3f, Gf.Vec3d, Gf.Vec3h)) or alone:
-        return f"is {value!r}, and a number{'' if alone else ' or a colour'} is wanted"
-    most = math.inf if name in ("eta", "k") else 1.0
-    return None if all(0.0 <= c <= most for c in value) else f"is {tuple(value)}, and 0 to {most:g} can be drawn"
-
-
-def is_textured(part: Any) -> bool:
-    """Whether a native material holds a texture with coordinates."""
-    return isinstance(part, dict) and (
-        part.get("type") in ("bitmap", "checkerboard") or any(is_textured(value) for value in part.values())
-    )

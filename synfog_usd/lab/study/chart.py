@@ -534,6 +534,7 @@ def _write(made: Chart, out: Path) -> None:
 def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     """The one shot, translated, and what it is called."""
     from synfog_usd import stage as usd
+    from synfog_usd.render.load import refusal
     from synfog_usd.translate import translate
 
     stage = usd.open_stage(plan.stage, allow=plan.allow)
@@ -550,4 +551,11 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
         shot = replace(shot, lighting=AS_AUTHORED, lighting_variant=None)
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
     named = ", ".join(name for name in (shot.lighting, shot.fog) if name != AS_AUTHORED)
-    return translate(stage, camera=plan.camera, resolution=plan.size, fog=shot.asked), named or "as authored"
+    scene = translate(
+        stage,
+        camera=plan.camera,
+        resolution=plan.size,
+        fog=shot.asked,
+        refusal=functools.partial(refusal, variant=plan.variant),  # type: ignore[arg-type]
+    )
+    return scene, named or "as authored"
