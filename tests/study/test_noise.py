@@ -26,11 +26,11 @@ from synfog_usd.lab.study.noise import (
 SIZE = (96, 128)
 
 
-def bake(folder):
+def bake(folder, size=SIZE):
     """Textured ground under a bright sky; fog of a transmittance of 0.4 in the lower half, 0.2 in the upper one."""
-    noise = stream(0, "ground").random((*SIZE, 1))
+    noise = stream(0, "ground").random((*size, 1))
     clear = np.repeat(40.0 + 300.0 * noise, 3, axis=2)
-    t = np.where(np.arange(SIZE[0]) < SIZE[0] // 2, 0.2, 0.4)[:, None, None]
+    t = np.where(np.arange(size[0]) < size[0] // 2, 0.2, 0.4)[:, None, None]
     for fog, pixels in (("clear", clear), ("mor100", clear * t + 400.0 * (1.0 - t))):
         image = Image(pixels.astype(np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0})
         write_exr(folder / "sky" / fog / "radiance.exr", image)
@@ -174,6 +174,17 @@ def test_what_is_no_source_is_one_line(tmp_path):
     (tmp_path / "set.json").write_text("{}", encoding="utf-8")
     with pytest.raises(ParameterError, match=r"this set is not finished .*; synfog-usd dataset retry .* goes on"):
         study(tmp_path)
+
+
+def test_pictures_without_enough_pixels_are_one_line(tmp_path):
+    """Two shots of 14 x 24 pixels have 672, in several bins of 500; with 40 x 60 a bin is full."""
+    bake(tmp_path / "small", size=(14, 24))
+    done = cli.run("study", "noise", tmp_path / "small", "-o", tmp_path / "out", "--cameras", "synfog")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "its pictures are too small" in done.stderr and "--resolution 320x180" in done.stderr
+    bake(tmp_path / "large", size=(40, 60))
+    done = cli.run("study", "noise", tmp_path / "large", "-o", tmp_path / "out", "--cameras", "synfog")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder in which nobody can write")

@@ -37,6 +37,9 @@ from synfog_usd.lab.study.bench import readings
 from synfog_usd.lab.study.scattering_model import FogPair, pairs, some
 
 FRAMES = 8
+FEWEST = 500
+"""Pixels of which a bin's mean is worth telling."""
+
 CAMERAS = ("synfog", "phone", "dashcam")
 TEMPORAL = ("sensor.shot_noise", "sensor.read_noise", "sensor.adc_noise", "sensor.black_clamp")
 """Ops that differ from frame to frame."""
@@ -74,7 +77,7 @@ class BinnedMeans:
         for sums, values in ((self.x, x), (self.y, y), (self.number, np.ones_like(x))):
             sums += np.bincount(where[inside], values[inside], self.bins)
 
-    def means(self, fewest: int = 500) -> tuple[Array, Array]:
+    def means(self, fewest: int = FEWEST) -> tuple[Array, Array]:
         """Mean x and y of the bins that have at least so many pixels."""
         kept = self.number >= fewest
         return self.x[kept] / self.number[kept], self.y[kept] / self.number[kept]
@@ -107,7 +110,7 @@ class TransferCurve:
         return int(np.abs(self.ratio - 1.0).argmax())
 
 
-def transfer_curve(of_scenes: Sequence[tuple[BinnedMeans, BinnedMeans]], fewest: int = 500) -> TransferCurve:
+def transfer_curve(of_scenes: Sequence[tuple[BinnedMeans, BinnedMeans]], fewest: int = FEWEST) -> TransferCurve:
     """The curve of all scenes together.
 
     Args:
@@ -234,6 +237,11 @@ def study(
             f"{left_out[0] if left_out else 'it is empty'}"
         )
     curves = {name: transfer_curve(list(signals[name].values())) for name in graphs}
+    if not any(curve.signal.size for curve in curves.values()):
+        raise ParameterError(
+            f"{source}: its pictures are too small: no signal is seen by {FEWEST} pixels of all shots together. "
+            f"Bake larger ones, as with --resolution 320x180, or more shots"
+        )
     growth = {
         name: (grown[name].means()[0], np.sqrt(grown[name].means()[1] / before[name].means()[1])) for name in graphs
     }
