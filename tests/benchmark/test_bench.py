@@ -21,7 +21,7 @@ from synfog_usd.lab.benchmark import bench as runs
 from synfog_usd.lab.benchmark import defog, metrics, page
 from synfog_usd.lab.benchmark.bench import GIVE_UP
 from synfog_usd.lab.benchmark.methods import chosen
-from synfog_usd.lab.benchmark.pairs import Pair, find
+from synfog_usd.lab.benchmark.pairs import Pair, find, truth_of
 from synfog_usd.lab.benchmark.statistics import mean, ranks
 
 
@@ -96,6 +96,29 @@ def test_pairs_of_a_bake_are_its_fogs_against_its_clear_air(tmp_path):
     assert found[0].files["raw.dng"] == tmp_path / "a" / "mor150" / "raw.dng"
 
 
+@pytest.mark.parametrize(
+    ("manifest", "views", "folders"),
+    [("rig.json", "cameras", ("Left", "Right")), ("sequence.json", "frames", ("000000", "000001"))],
+)
+def test_pairs_of_a_rig_and_of_frames_are_those_of_each_bake(tmp_path, manifest, views, folders):
+    """Each view against its own clear air; views of one lighting are of one scene."""
+    shots = [{"lighting": "sky", "fog": fog, "folder": f"sky/{fog}", "files": ["srgb.png"]} for fog in ("clear", "f")]
+    for place in folders:
+        for row in shots:
+            (tmp_path / place / row["folder"]).mkdir(parents=True)
+            (tmp_path / place / row["folder"] / "srgb.png").touch()
+        (tmp_path / place / "bake.json").write_text(json.dumps({"shots": shots}), encoding="utf-8")
+    rows = [{"number": number, "folder": place} for number, place in enumerate(folders)]
+    (tmp_path / manifest).write_text(json.dumps({views: rows}), encoding="utf-8")
+    assert [(pair.name, pair.scene, pair.clear) for pair in find(tmp_path)] == [
+        (f"{place}_sky_f", "sky", tmp_path / place / "sky/clear/srgb.png") for place in folders
+    ]
+    assert truth_of(tmp_path / folders[1] / "sky/f") == tmp_path / folders[1] / "sky/clear/srgb.png"
+    (tmp_path / manifest).write_text(json.dumps({views: 1}), encoding="utf-8")
+    with pytest.raises(ParameterError, match=f"{manifest}: is no manifest of a bake"):
+        find(tmp_path)
+
+
 def test_one_picture_is_compared_as_the_bench_compares_it(tmp_path):
     """The foggy picture against its shot has what `benchmark defog --methods none` tells of that pair, every metric;
     any picture is compared with the clear one of the shot, or with the picture that is named.
@@ -130,6 +153,9 @@ def test_one_picture_is_compared_as_the_bench_compares_it(tmp_path):
 
 
 def test_a_source_without_pairs_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="no pair of a foggy picture"):
+        find(tmp_path)
+    (tmp_path / "bake.json").write_text('{"shots": []}', encoding="utf-8")
     with pytest.raises(ParameterError, match="no pair of a foggy picture"):
         find(tmp_path)
     (tmp_path / "bake.json").write_text("{", encoding="utf-8")

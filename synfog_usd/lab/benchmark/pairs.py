@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
 
 from synfog_usd.base.errors import ParameterError
+from synfog_usd.dataset.rig import RIG
+from synfog_usd.dataset.sequence import SEQUENCE
 from synfog_usd.dataset.sets import index
+
+Row = TypeVar("Row")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -41,7 +46,8 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
     """All pairs of a source, in an order that depends on its names alone.
 
     Args:
-        source: folder of a set, of a bake, or with one folder of foggy and one of clear pictures.
+        source: folder of a set, of a bake, also of a rig or of frames, or with one folder of foggy and one of clear
+            pictures.
         picture: which output of a set or bake is compared.
         clear: the fog that counts as none.
         split: of a set; all if left out.
@@ -53,10 +59,10 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
         raise ParameterError(f"{source}: no such folder")
     if index.is_set(source):
         found = list(_of_set(source, picture, clear, split))
-    elif (source / "bake.json").is_file():
-        found = list(_of_bake(source, picture, clear))
     else:
-        found = list(_of_folders(source))
+        bakes = list(_bakes_in(source))
+        found = [pair for words, one in bakes for pair in _of_bake(one, picture, clear, words)]
+        found = found if bakes else list(_of_folders(source))
     if not found:
         raise ParameterError(
             f"{source}: no pair of a foggy picture and the same view in clear air. It takes a set or bake with "
@@ -119,17 +125,42 @@ def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair
             )
 
 
-def _of_bake(source: Path, picture: str, clear: str) -> Iterator[Pair]:
+def _bakes_in(source: Path, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Path]]:
+    """Bakes of one camera and moment in what a bake left, with the folders on the way to each."""
+    if (source / "bake.json").is_file():
+        yield words, source
+    for manifest, views in ((source / RIG, "cameras"), (source / SEQUENCE, "frames")):
+        if manifest.is_file():
+            for folder in _told(manifest, lambda found, views=views: [str(row["folder"]) for row in found[views]]):
+                yield from _bakes_in(source / folder, (*words, folder))
+
+
+def _told(manifest: Path, read: Callable[[Any], list[Row]]) -> list[Row]:
+    """What is read of a manifest.
+
+    Raises:
+        ParameterError: it is damaged.
+    """
     try:
-        rows = json.loads((source / "bake.json").read_text(encoding="utf-8"))["shots"]
-        shots = [(str(row["lighting"]), str(row["fog"]), source / row["folder"], sorted(row["files"])) for row in rows]
+        return read(json.loads(manifest.read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ParameterError(f"{source / 'bake.json'}: is no manifest of a bake ({error})") from error
+        raise ParameterError(f"{manifest}: is no manifest of a bake ({error})") from error
+
+
+def _of_bake(source: Path, picture: str, clear: str, words: tuple[str, ...] = ()) -> Iterator[Pair]:
+    """Pairs of one bake; cameras and frames are of one scene, as fogs are."""
+    shots = _told(
+        source / "bake.json",
+        lambda found: [
+            (str(row["lighting"]), str(row["fog"]), source / row["folder"], sorted(row["files"]))
+            for row in found["shots"]
+        ],
+    )
     of_clear = {lighting: folder / picture for lighting, fog, folder, _ in shots if fog == clear}
     for lighting, fog, folder, names in shots:
         if fog != clear and picture in names and lighting in of_clear and of_clear[lighting].is_file():
             files = {name: folder / name for name in names}
-            yield Pair(f"{lighting}_{fog}", lighting, fog, of_clear[lighting], folder / picture, files)
+            yield Pair("_".join((*words, lighting, fog)), lighting, fog, of_clear[lighting], folder / picture, files)
 
 
 def _of_folders(source: Path) -> Iterator[Pair]:
