@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdShade
 
-from synfog_usd.errors import did_you_mean
+from synfog_usd.base.errors import did_you_mean
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.texture import ImageReader, producer, shader_id, value_of
 
