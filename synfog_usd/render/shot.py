@@ -1,10 +1,9 @@
-"""One shot: radiance with its variance, and the AOVs that need no samples."""
+"""One shot: what a render is to be, and its samples; `picture` makes the picture of them."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,14 +11,12 @@ import numpy as np
 
 from synfog_usd.base import numbers, system
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, silent, within
-from synfog_usd.render import backend, dualbuffer, models, moments
+from synfog_usd.render import backend, models, moments
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import (
     AOVS,
-    COMPONENTS,
     DIRECT,
     HALVES,
     INSCATTERED,
@@ -28,65 +25,24 @@ from synfog_usd.render.film.accumulator import (
     SHARE_PX,
     SURFACE,
     Accumulator,
+    Integrator,
     Squares,
 )
 from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
-from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target, reached
-from synfog_usd.render.spectra import bands as banding
+from synfog_usd.render.picture import About, Cleaning, Rendered, Sampled
+from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target
 from synfog_usd.scene import Camera, SceneDict
 
 PROBE_PX = (64, 36)
-
-LARGE_ERROR = 0.25
-"""Error of the median pixel after denoising from which on a warning is given."""
-
 
 DENOISING = 5.0
 """Samples of a pixel that take as long as to denoise it, about: 2 before lamps, 8 by day on the crossing."""
 
 SEEN_FLOATS, CLEANING_FLOATS = 14, 36
 """What `Aovs`, and guides, luminances and the denoiser's own pictures take of a pixel, in units of 4 B."""
-
-
-@dataclass(frozen=True)
-class Rendered:
-    """What one shot gives.
-
-    Attributes:
-        radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
-        aovs: what the pixel-centre rays met.
-        components: 'surface', 'airlight_single', 'airlight_multiple', and 'lamps_direct' where lamps are seen -> (H, W,
-            C) float32 radiance, which add up to all of it and may be below 0 by noise, but where they were denoised;
-            empty where the model tells none apart.
-        error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
-            denoised, and of a draft.
-        groups: light group -> (H, W, C) float32 radiance; empty where there is only one. They add up to the radiance
-            where that was denoised.
-        model, why: which model it was, and why that one.
-        mottle: what is left of clouds in a denoised picture, relative, see `dualbuffer.mottle`; None where nothing was
-            denoised, and of a draft.
-        relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
-        warnings: what went wrong on the way, in words.
-        samples: paths per pixel on average, as `Settings` means them.
-        met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
-            target.
-    """
-
-    radiance: Image
-    aovs: aovs.Aovs
-    relative_error: float
-    mottle: float | None
-    components: Mapping[str, np.ndarray]
-    error: np.ndarray | None
-    groups: Mapping[str, np.ndarray]
-    model: str
-    why: str
-    warnings: tuple[str, ...]
-    samples: float
-    met: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,20 +164,6 @@ def render(
     return sampled.picture(within(progress, share, 1.0))
 
 
-@dataclass(frozen=True)
-class Sampled:
-    """A picture that was sampled and is not made yet.
-
-    Attributes:
-        samples: paths of a pixel, see `Rendered`.
-        picture: makes it, once, and is told about on the way; it holds nothing of the renderer, so that another thread
-            may do it while the next scene is sampled.
-    """
-
-    samples: float
-    picture: Callable[[Progress], Rendered]
-
-
 def sampling_share(settings: Settings) -> float:
     """The part of the progress of a render that is sampling, about; the rest makes the picture."""
     return settings.samples / (settings.samples + DENOISING) if settings.denoise else 1.0
@@ -238,241 +180,94 @@ def sample(
 ) -> Sampled:
     """The part of `render` that asks the renderer; arguments as there."""
     settings = replace(settings or Settings(), **changes)
-    model, samples, seed, size, bands, denoise = (
-        settings.model,
-        settings.samples,
-        settings.seed,
-        settings.size,
-        settings.bands,
-        settings.denoise,
-    )
     check_memory(scene, settings)
-    target = settings.target
     warnings = list[str]()
-    if denoise and (problem := denoising.available()):
+    if settings.denoise and (problem := denoising.available()):
         warnings.append(f"not denoised, so it takes many more samples: {problem}")
-        denoise = False
-    model, why = models.choose(model, scene)
-    loaded = loaded or load(scene, size=size, boundaries=models.MODELS[model].boundaries, spectra=bands != numbers.RGB)
+        settings = replace(settings, denoise=False)
+    model, why = models.choose(settings.model, scene)
+    if loaded is None:
+        boundaries, spectra = models.MODELS[model].boundaries, settings.bands != numbers.RGB
+        loaded = load(scene, size=settings.size, boundaries=boundaries, spectra=spectra)
     make = functools.partial(
         models.make,
         model,
         scatterings=settings.scatterings,
         bounces=settings.bounces,
-        bands=bands,
+        bands=settings.bands,
         regularize=settings.regularize,
     )
-    integrator = make(loaded)
-    camera = loaded.source.camera
-    shape = (camera.height_px, camera.width_px, -1)
-
-    cleaning: _Cleaning | None = None
-    if parts := moments.cut(loaded.source, samples):
+    parts = moments.cut(loaded.source, settings.samples)
+    if parts:
         why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
         warnings += [said] if (said := parts.said()) else []
-        movables = moments.Movables(loaded)
-        rays = _guide_rays(samples) if denoise else 0
-        accumulated, known = moments.accumulate(movables, parts, make, seed=seed, rays=rays, progress=progress)
-        if denoise:
-            cleaning = _Cleaning(lambda: known, shape[:2], few=samples < denoising.FEW, draft=settings.draft)
-    elif denoise:
-        rays = _guide_rays(samples)
-        if isinstance(integrator, FogPath):  # the processor looks while the first kernel of the samples is made ready
-            look = denoising.begun_guides(loaded, rays=rays)
-        else:
-            look = functools.partial(denoising.guides, loaded, rays=rays)
-        cleaning = _Cleaning(look, shape[:2], few=samples < denoising.FEW, draft=settings.draft)
-        accumulated = accumulate_denoised(
-            integrator, target=target, seed=seed, denoised=cleaning.judged, progress=progress
-        )
+    integrator = make(loaded)
+    if parts:
+        accumulated, cleaning = _moving(loaded, parts, make, settings, progress)
     else:
-        accumulated = accumulate_to_target(integrator, target=target, seed=seed, progress=progress)
+        accumulated, cleaning = _still(loaded, integrator, settings, progress)
     names = tuple(getattr(integrator, "group_names", ()))
     names = names if len(names) > 1 else ()
-    shares = list[tuple[str, dict[str, np.ndarray]]]()
-    if cleaning and accumulated.component_halves(*shape[:2]):
-        cut = Squares(camera.width_px, camera.height_px)
-        for name in names:
-            lights = accumulated.take_group(cut)
-            for of, light in lights.items():
-                lights[of] = light.reshape(*(shape[:2] if of == DIRECT else cut.shape), -1)
-            shares.append((name, lights))
+    shares = _shares(accumulated, names, loaded.source.camera) if cleaning else []
     backend.let_go()
     if cleaning:
         cleaning.see(accumulated)
     seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
-    number, spent = accumulated.samples, accumulated.samples_per_pixel
     backend.let_go()
-
-    def picture(progress: Progress = silent) -> Rendered:
-        nonlocal why
-        spread = accumulated.variance()
-        noise = np.asarray(spread @ accumulated.weights * accumulated.weights.sum())  # of its luminance
-        variance = spread.reshape(shape).astype(np.float32, copy=False)
-        del spread
-        for estimator in accumulated.estimators.values():  # a large frame fills memory: a sum is let go once it is read
-            estimator.squares = np.zeros((0, 0), dtype=estimator.squares.dtype)
-        denoised = None
-        if cleaning:
-            denoised, problem = cleaning.picture(accumulated, number, progress), cleaning.problem
-            warnings.extend([problem] if problem else [])
-            why += "" if denoised or problem else "; not denoised, since it tells no components apart"
-        rms = denoised.error.rms if denoised and denoised.error else None
-        if denoised and rms is not None:
-            luminance, error = denoised.luminance(accumulated.weights).ravel(), rms.ravel()
-            met = None if target.open else float((error <= target.allowed_in_all(luminance)).mean())
-        else:
-            luminance, error = accumulated.luminance(), np.sqrt(noise)
-            met = None if target.open or denoised else reached(luminance, noise, target, shape[:2])
-        lit = luminance > 0.0
-        relative_error = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
-        if rms is not None and relative_error > LARGE_ERROR:
-            much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
-            warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
-        del luminance, error, noise
-        if accumulated.lost:
-            warnings.append(f"{accumulated.lost} of {number} samples were not finite and count as black")
-        if denoised:
-            components = dict(denoised.components)
-            mean = np.asarray(sum(components.values()))
-            for estimator in accumulated.estimators.values():
-                estimator.aovs.clear()
-        else:
-            mean = accumulated.mean().reshape(shape).astype(np.float32)
-            components = {
-                name: aov.reshape(shape).astype(np.float32)
-                for name in COMPONENTS
-                if (aov := accumulated.take_aov(name)) is not None
-            }
-        if mean.min() < 0.0:
-            below = int((mean < 0.0).any(axis=2).sum())
-            warnings.append(
-                f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it"
-            )
-            mean = np.maximum(mean, 0.0)
-        radiance = Image(
-            mean,
-            banding.names(bands),
-            Quantity.RADIANCE,
-            variance=variance,
-            provenance={
-                **(
-                    {"fisheye_coefficients": list(camera.fisheye.coefficients), "fisheye_fov_x_deg": camera.fov_x_deg}
-                    if camera.fisheye
-                    else {"fov_x_deg": camera.fov_x_deg}
-                ),
-                "shift_x": camera.axis_shift[0],
-                "shift_y": camera.axis_shift[1],
-                "model": model,
-                "samples": samples,
-                "seed": seed,
-            }
-            | ({"denoised": True} if denoised else {}),
-        )
-        groups = dict[str, np.ndarray]()
-        if shares:
-            divided = cleaning.divided(denoised, shares) if cleaning and denoised else None
-            if cleaning and denoised and divided is None:
-                warnings.append(f"light groups are {cleaning.problem}")
-            groups = divided or {name: denoising.fine(lights, mean.shape) for name, lights in shares}
-        else:
-            for name in names:
-                groups[name] = sum(accumulated.take_group().values()).reshape(shape).astype(np.float32)
-        return Rendered(
-            radiance,
-            seen,
-            relative_error,
-            denoised.error.mottle if denoised and denoised.error else None,
-            components,
-            rms,
-            groups,
-            model,
-            why,
-            tuple(warnings),
-            spent,
-            met,
-        )
-
-    return Sampled(spent, picture)
+    about = About(model, settings.seed, settings.samples, settings.bands, loaded.source.camera, settings.target)
+    return Sampled(about, accumulated, cleaning, seen, names, shares, why, warnings)
 
 
-def _not_denoised(error: Exception) -> str:
-    return f"not denoised, so it takes many more samples: {str(error) or 'not enough memory'}"
+def _moving(
+    loaded: MitsubaScene,
+    parts: moments.Intervals,
+    make: Callable[..., Integrator],
+    settings: Settings,
+    progress: Progress,
+) -> tuple[Accumulator, Cleaning | None]:
+    """Samples of an exposure in which something moves, and what cleans them."""
+    rays = _guide_rays(settings.samples) if settings.denoise else 0
+    movables = moments.Movables(loaded)
+    accumulated, known = moments.accumulate(movables, parts, make, seed=settings.seed, rays=rays, progress=progress)
+    return accumulated, _cleaning(lambda: known, loaded.source.camera, settings) if settings.denoise else None
+
+
+def _still(
+    loaded: MitsubaScene, integrator: Integrator, settings: Settings, progress: Progress
+) -> tuple[Accumulator, Cleaning | None]:
+    """Samples of what stands still, and what cleans them."""
+    how: dict[str, Any] = {"target": settings.target, "seed": settings.seed, "progress": progress}
+    if not settings.denoise:
+        return accumulate_to_target(integrator, **how), None
+    rays = _guide_rays(settings.samples)
+    if isinstance(integrator, FogPath):  # the processor looks while the first kernel of the samples is made ready
+        look = denoising.begun_guides(loaded, rays=rays)
+    else:
+        look = functools.partial(denoising.guides, loaded, rays=rays)
+    cleaning = _cleaning(look, loaded.source.camera, settings)
+    return accumulate_denoised(integrator, denoised=cleaning.judged, **how), cleaning
+
+
+def _cleaning(look: Callable[[], denoising.Guides | None], camera: Camera, settings: Settings) -> Cleaning:
+    few = settings.samples < denoising.FEW
+    return Cleaning(look, (camera.height_px, camera.width_px), few=few, draft=settings.draft)
+
+
+def _shares(accumulated: Accumulator, names: Sequence[str], camera: Camera) -> list[tuple[str, dict[str, np.ndarray]]]:
+    """Each light group's part of each component, (h, w, C) in squares, as `denoise.divide` takes it."""
+    shape, cut = (camera.height_px, camera.width_px), Squares(camera.width_px, camera.height_px)
+    found = list[tuple[str, dict[str, np.ndarray]]]()
+    for name in names if accumulated.component_halves(*shape) else ():
+        lights = accumulated.take_group(cut)
+        for of, light in lights.items():
+            lights[of] = light.reshape(*(shape if of == DIRECT else cut.shape), -1)
+        found.append((name, lights))
+    return found
 
 
 def _guide_rays(samples: int) -> int:
     """Rays of a pixel for the guides of a picture of so many samples."""
     return denoising.FEW_RAYS if samples < denoising.FEW else denoising.GUIDE_RAYS
-
-
-class _Cleaning:
-    """Makes pictures without noise of samples.
-
-    Args:
-        look: gives the guides.
-        shape: (H, W).
-        few: whether there are but few samples of a pixel.
-        draft: whether it is for a look alone.
-
-    Attributes:
-        problem: what went wrong with the last one, or ''.
-    """
-
-    def __init__(
-        self, look: Callable[[], denoising.Guides | None], shape: tuple[int, int], *, few: bool, draft: bool
-    ) -> None:
-        self.problem = ""
-        self._look: Callable[[], denoising.Guides | None] | None = look
-        self._shape, self._few, self._draft = shape, few, draft
-        self._guides: denoising.Guides | None = None
-        self._done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
-
-    def picture(self, accumulated: Accumulator, number: int, progress: Progress = silent) -> denoising.Denoised | None:
-        """Of so many samples; None where no components are told apart, or something goes wrong."""
-        if number not in self._done and (halves := accumulated.component_halves(*self._shape)):
-            self._done.clear()
-            self.problem = ""
-            try:
-                progress("denoising", 0.0)
-                clean = functools.partial(denoising.denoise_halves, quick=self._few)
-                self._done[number] = (denoising.denoise_draft if self._draft else clean)(
-                    halves, self._seen(), accumulated.weights, progress=within(progress, 0.3, 1.0)
-                )
-            except (denoising.DenoiserError, MemoryError) as error:
-                self._done[number] = None
-                self.problem = _not_denoised(error)
-        return self._done.get(number)
-
-    def divided(
-        self, denoised: denoising.Denoised, groups: Iterable[tuple[str, Mapping[str, np.ndarray]]]
-    ) -> dict[str, np.ndarray] | None:
-        """The picture by light group, see `denoise.divide`; None where something goes wrong."""
-        try:
-            return denoising.divide(denoised.components, groups, self._seen(), quick=self._few, draft=self._draft)
-        except (denoising.DenoiserError, MemoryError) as error:
-            self.problem = _not_denoised(error)
-            return None
-
-    def judged(self, accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
-        """What the samples so far give."""
-        found = self.picture(accumulated, accumulated.samples)
-        if found is None or found.error is None:
-            return None
-        return found.luminance(accumulated.weights), found.error
-
-    def see(self, accumulated: Accumulator) -> None:
-        """Look at the scene, where pictures will be made of these samples, and let it go."""
-        if accumulated.component_halves(*self._shape):
-            with contextlib.suppress(MemoryError):  # told when the picture is made
-                self._seen()
-        self._look = None
-
-    def _seen(self) -> denoising.Guides:
-        if self._guides is None and self._look is not None:
-            self._guides = self._look()
-        if self._guides is None:
-            raise MemoryError
-        return self._guides
 
 
 def load(

@@ -15,7 +15,7 @@ import pytest
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import FogVolume
-from synfog_usd.render import backend, denoise, models, shot
+from synfog_usd.render import backend, denoise, models, picture, shot
 from synfog_usd.render.film.accumulator import HALVES, LIT, accumulate_by_estimator
 from synfog_usd.render.load import in_fog
 from synfog_usd.render.sampling.adaptive import FIRST, sensor_target
@@ -473,7 +473,7 @@ def test_a_closed_room_with_mirror_pane_and_one_lamp_gives_a_picture(size, sampl
     np.testing.assert_allclose(sum(done.components.values()), done.radiance.pixels, rtol=1e-5, atol=1e-6)
     assert np.isfinite(done.error).all() and done.error.shape == (size[1], size[0])
     assert done.samples == spent(samples) and done.radiance.provenance["denoised"]
-    assert any("still errs by" in line for line in done.warnings) == (done.relative_error > shot.LARGE_ERROR)
+    assert any("still errs by" in line for line in done.warnings) == (done.relative_error > picture.LARGE_ERROR)
 
 
 def inside_a_car():
@@ -514,7 +514,7 @@ def test_a_camera_inside_a_car_sees_through_the_windscreen(samples):
     assert np.isfinite(done.radiance.pixels).all() and done.radiance.pixels.min() >= 0.0
     assert done.radiance.pixels[2:7].mean() > 0.0 and np.isfinite(done.error).all()
     assert done.aovs.depth_m.min() >= 0.2
-    assert any("still errs by" in line for line in done.warnings) == (done.relative_error > shot.LARGE_ERROR)
+    assert any("still errs by" in line for line in done.warnings) == (done.relative_error > picture.LARGE_ERROR)
 
 
 @needs_oidn
