@@ -15,7 +15,7 @@ BELOW = {
     "fog": set(),
     "scene": {"fog"},
     "world": {"fog"},
-    "stage": {"fog", "scene"},
+    "stage": {"fog"},
     "translate": {"fog", "scene", "stage"},
     "render": {"fog", "scene"},
     "camera/graph": set(),

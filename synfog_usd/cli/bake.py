@@ -17,7 +17,7 @@ from synfog_usd.dataset.job import BakeJob, job_of
 from synfog_usd.dataset.job import run as make
 
 if TYPE_CHECKING:
-    from synfog_usd.scene import Note
+    from synfog_usd.base.notes import Note
 
 REMARKS = 5
 """How many remarks are printed; warnings all are."""

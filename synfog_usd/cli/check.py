@@ -20,7 +20,7 @@ from synfog_usd.translate import Exchange, outdoors, why_black
 from synfog_usd.translate.coincident import Overlap, coincident
 
 if TYPE_CHECKING:
-    from synfog_usd.scene import Note
+    from synfog_usd.base.notes import Note
     from synfog_usd.stage.rulebook import Finding
 
 NOTHING: Mapping[str, str] = MappingProxyType({})

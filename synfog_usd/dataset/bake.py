@@ -29,11 +29,12 @@ from synfog_usd.dataset.session import METER_WIDTH_PX, Renderer, Session, begin,
 if TYPE_CHECKING:
     import numpy as np
 
+    from synfog_usd.base.notes import Note
     from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered, Settings
-    from synfog_usd.scene import Note, SceneDict
+    from synfog_usd.scene import SceneDict
     from synfog_usd.scene.transmittance import PartBoxes
 
 OF_SHOT = ("radiance.exr", "layers.exr", "instances.json")

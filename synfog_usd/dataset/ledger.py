@@ -21,7 +21,7 @@ from synfog_usd.base.errors import OutputError
 from synfog_usd.dataset.plan import BakePlan, Shot
 
 if TYPE_CHECKING:
-    from synfog_usd.scene import Note
+    from synfog_usd.base.notes import Note
 
 MANIFEST = "bake.json"
 EARLIER = "earlier"

@@ -15,8 +15,9 @@ from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot
 
 if TYPE_CHECKING:
     from synfog_usd.base.fisheye import Fisheye
+    from synfog_usd.base.notes import Note
     from synfog_usd.camera.distortion import Pinhole
-    from synfog_usd.scene import Camera, Note, SceneDict
+    from synfog_usd.scene import Camera, SceneDict
 
 
 class Scenes:
@@ -114,8 +115,8 @@ class Scenes:
 
 
 def _guessed(graph: Any) -> list[Note]:
+    from synfog_usd.base.notes import Note
     from synfog_usd.camera.profiles import guessed
-    from synfog_usd.scene import Note
 
     told = {kind: guessed(profile) for kind, profile in (graph.profiles.items() if graph is not None else ())}
     return [Note("info", "", f"{kind} {text}") for kind, text in told.items() if text]
@@ -133,8 +134,8 @@ def _each_once(todo: Sequence[Shot]) -> list[Shot]:
 
 
 def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
+    from synfog_usd.base.notes import Note
     from synfog_usd.camera import fisheye
-    from synfog_usd.scene import Note
     from synfog_usd.translate.volume import refuse_cut
 
     view = replace(scene.camera, fisheye=lens, fov_x_deg=lens.fov_x_deg)

@@ -19,7 +19,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdUtils, Vt
 from synfog_usd.base.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.base.fence import LAYERS, Fence
 from synfog_usd.base.files import sha256_of
-from synfog_usd.scene import Note
+from synfog_usd.base.notes import Note
 from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes

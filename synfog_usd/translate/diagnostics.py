@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Literal
 
-from synfog_usd.scene import Note
+from synfog_usd.base.notes import Note
 
 MAX_SAME = 10
 """Notes of the same text that are kept one by one; the rest is counted."""

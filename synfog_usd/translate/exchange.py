@@ -15,8 +15,9 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.base.notes import Note
 from synfog_usd.fog import Fog, FogVolume
-from synfog_usd.scene import Camera, Note, SceneDict
+from synfog_usd.scene import Camera, SceneDict
 from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import said_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET

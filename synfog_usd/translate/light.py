@@ -19,7 +19,8 @@ from pxr import Usd, UsdLux
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.errors import StageError
-from synfog_usd.scene import MANY_LIT, Note, SceneDict, lit_kind
+from synfog_usd.base.notes import Note
+from synfog_usd.scene import MANY_LIT, SceneDict, lit_kind
 from synfog_usd.stage import budget
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics

@@ -12,10 +12,10 @@ import pytest
 from support.cli import command, process, run
 from support.stages import street
 
+from synfog_usd.base.notes import Note
 from synfog_usd.camera.profiles import shipped
 from synfog_usd.cli import check as verb
 from synfog_usd.cli.worker import printed
-from synfog_usd.scene import Note
 from synfog_usd.stage.rulebook import finding
 
 
