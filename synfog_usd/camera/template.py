@@ -24,7 +24,7 @@ serial: mine-0001
 # Colour filter pattern, from the upper left pixel: one of {patterns}
 cfa: RGGB
 
-# Quantum efficiency behind each filter: one of four forms, which docs/sensors.md explains.
+# Quantum efficiency behind each filter: one of four forms, which docs/camera.md explains.
 qe: {{camera: Nikon 5100 (NPL), peak: 0.6, source: example}}
 # qe: {{csv: qe.csv, source: example}}
 # qe: {{observer: cie1931, peak: 1.0, source: example}}

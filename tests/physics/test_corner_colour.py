@@ -99,7 +99,7 @@ def measured(name: str) -> list[float]:
 
 @pytest.mark.parametrize("name", SEEN)
 def test_the_corner_has_the_colours_of_the_table(name):
-    """As docs/camera.md has them, within 0.15."""
+    """As docs/measurements/camera.md has them, within 0.15."""
     found = measured(name)
     print(f"\n{name}:", *(f"{value:.2f}" for value in found))
     assert found == pytest.approx(list(SEEN[name]), abs=0.15)

@@ -3,7 +3,7 @@
 The edge is 8 : 1 in grey light of D65, metered, at five angles; its light on square pixels is the mean of 8 x 8 places.
 Colour is CIELAB of the picture for the screen, contrast that of luminance behind the colour matrix.  A distortion is
 left out, since a picture of the sensor's own size loses sharpness by it.  `pytest -m "" -s` prints the table of
-docs/camera.md.
+docs/measurements/camera.md.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def measured(name: str, algorithm: str) -> tuple[float, ...]:
 @pytest.mark.parametrize("algorithm", ["linear", "mhc", "menon", "directional"])
 @pytest.mark.parametrize("name", ["phone", "dashcam", "automotive_hdr"])
 def test_edges_have_the_colours_of_the_table(name, algorithm):
-    """As docs/camera.md has them, within 5 %: the mean of five angles."""
+    """As docs/measurements/camera.md has them, within 5 %: the mean of five angles."""
     found = measured(name, algorithm)
     print(f"\n{name}, {algorithm}: {found[0]:.2f} | {found[1]:.3f} | {found[2]:.2f} | {found[3]:.3f}")
     assert found == pytest.approx(SEEN[name, algorithm], rel=0.05, abs=0.02)

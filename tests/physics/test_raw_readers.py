@@ -208,7 +208,7 @@ def test_darktable_renders_it_upright_and_neutral(files, tmp_path, darktable_hom
 @pytest.mark.parametrize("name", FILES)
 def test_rawtherapee_renders_it_upright_and_neutral(files, tmp_path, name):
     """With its neutral profile.  It knows no mosaic of four colours: RGIB opens with wrong colours, which is said in
-    docs/raw.md.
+    docs/measurements/camera.md.
     """
     done = run(
         "rawtherapee-cli", "-q", "-Y", "-o", tmp_path / "a.tif", "-t", "-b16", "-c", files[name][0], cwd=tmp_path

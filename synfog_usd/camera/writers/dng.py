@@ -3,7 +3,7 @@
 Takes a mosaic of DN behind any filter pattern; writes it as it is, 16 bits a pixel
 or lossless JPEG.  All that is not a pixel comes from the image's provenance, where
 `sensor.adc` (and, for HDR, `sensor.compand`) put it.  A number that its tag cannot hold (NaN, infinite, negative, too
-large) is left out with its tag.  What programs do with the files stands in docs/raw.md.
+large) is left out with its tag.  What programs do with the files stands in docs/camera.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How the camera was checked, drawn: photon transfer, noise in fog, sharpness, colour.
 
 From a shell: `python -m synfog_usd.lab.study.pages.camera docs/images` draws the four pictures
-of docs/camera.md anew.  Takes shipped graphs and profiles; what the tests in
+of docs/measurements/camera.md anew.  Takes shipped graphs and profiles; what the tests in
 `tests/physics` hold to a bound is computed here or in `study.bench`.
 """
 
