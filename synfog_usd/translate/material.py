@@ -31,6 +31,7 @@ from synfog_usd.translate.native import (
     reads_vertices,
 )
 from synfog_usd.translate.networks import fed_by, omni_texture
+from synfog_usd.translate.nodes import READERS
 from synfog_usd.translate.primvars import Given
 from synfog_usd.translate.shading import (
     GREY,
@@ -212,6 +213,8 @@ class Materials:
                 self.notes.warn(
                     shape, f"primvar {one.name!r} varies over it; {one.input}, which reads that, is drawn as its mean"
                 )
+            elif not one.colour and len(value.value) > 1:
+                self.notes.info(shape, f"primvar {one.name} {value.what}; {one.input} takes their mean")
 
     def _said(self, material: Usd.Prim) -> tuple[Any, ...] | None:
         """All that stands on a material and below it, by which instances of a model are known to wear the same; None
@@ -568,9 +571,6 @@ def is_empty(material: UsdShade.Material) -> bool:
     )
 
 
-READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
-"""How the shaders begin that give a primvar of the shape."""
-
 _VERTEX_COLOR = {"type": "mesh_attribute", "name": VERTEX_COLOR}
 
 
@@ -628,7 +628,11 @@ class _ShaderInputs:
     def read(self, name: str, *, colour: bool) -> Read | None:
         """What a reader of a primvar gives to an input that it feeds; None where none does."""
         output = None if self.names.omni else self.producer(name)
-        if output is None or not (kind := shader_id(output.GetPrim())).startswith(READERS):
+        return None if output is None else self.read_by(output, name, colour=colour)
+
+    def read_by(self, output: Usd.Attribute, name: str, *, colour: bool) -> Read | None:
+        """What a reader of a primvar gives; None where the output is of another shader."""
+        if not (kind := shader_id(output.GetPrim())).startswith(READERS):
             return None
         reader = UsdShade.Shader(output.GetPrim())
         is_materialx = kind.startswith("ND_geom")
@@ -644,10 +648,10 @@ class _ShaderInputs:
         """What an input is multiplied by."""
         times = 1.0
         for other, default in self.names.weights.get(name, {}).items():
-            if producer(self.shader, other) is not None:
-                self.notes.warn(self.shader.GetPath(), f"a texture on {other} is not drawn; 1 is used")
-            else:
-                times *= float(value_of(self.shader, other, self.time, default))
+            output = producer(self.shader, other)
+            times *= float(
+                value_of(self.shader, other, self.time, default) if output is None else self.fed(output, other, default)
+            )
         if name == "emissiveColor" and self.names.in_lux and self.mode(self.names.in_lux, ("emission_lx", 0)):
             times /= np.pi  # of a surface that is equally bright from everywhere
         return times
@@ -660,13 +664,34 @@ class _ShaderInputs:
     def constant(self, name: str, default: Any) -> Any:
         if not self.has(name):
             return default
-        if (read := self.read(name, colour=False)) is not None:
+        output = producer(self.shader, self.names[name])
+        if output is None:
+            return value_of(self.shader, self.names[name], self.time, default)
+        return fitted(self.fed(output, name, default), default)
+
+    def fed(self, output: Usd.Attribute, name: str, default: Any) -> Any:
+        """The number that other shaders give, a picture's in the mean; `default` where they give none."""
+        if (read := self.read_by(output, name, colour=False)) is not None:
             number = read.given.number if read.given is not None else None
             return default if number is None else number
-        if producer(self.shader, self.names[name]) is not None:
-            self.notes.warn(self.shader.GetPath(), f"a texture on {name} is not drawn; {default} is used")
+        node = self.behind(output, name)
+        if node is None:
             return default
-        return value_of(self.shader, self.names[name], self.time, default)
+        value = sampled(node, self.images, channels=1)
+        if isinstance(value, tuple):
+            return value[0]
+        self.notes.warn(self.shader.GetPath(), f"a picture of {name} is drawn as its mean")
+        return float(linear(value, srgb=value.dtype == np.uint8).mean())
+
+    def behind(self, output: Usd.Attribute, name: str) -> TextureNode | None:
+        """`fed_by`, with the primvars of the shape in it."""
+
+        def of_shape(reader: Usd.Attribute) -> tuple[float, ...] | None:
+            read = self.read_by(reader, f"a node behind {name}", colour=True)
+            given = read.given if read is not None else None
+            return None if given is None or isinstance(given.value, str) or given.colour is None else given.value
+
+        return fed_by(output, name, self.time, self.notes, self.shader.GetPath(), self.images, of_shape)
 
     def constant_color(self, name: str, default: tuple[float, ...]) -> tuple[float, ...]:
         weight = self.weight(name)
@@ -690,7 +715,7 @@ class _ShaderInputs:
         output = self.producer(name)
         if output is None or (name != "normal" and shader_id(output.GetPrim()).startswith(READERS)):
             return None
-        node = fed_by(output, name, self.time, self.notes, self.shader.GetPath(), self.images)
+        node = self.behind(output, name)
         weight = self.weight(name) if node is not None else 1.0
         if node is not None and weight != 1.0:
             scale, bias = (tuple(c * weight for c in values[:3]) for values in (node.scale, node.bias))
@@ -734,12 +759,16 @@ class _ShaderInputs:
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
         if (read := self.read(name, colour=True)) is not None:
-            if read.given is not None and read.given.varies and name == "diffuseColor":
+            weight = self.weight(name)
+            varies = read.given is not None and read.given.varies and name == "diffuseColor"
+            if varies and weight != 1.0:
+                self.notes.warn(self.shader.GetPath(), f"{name} varies and has a weight; it is drawn as its mean")
+            elif varies:
                 self.reads, self.fallback = read.name, read.fallback.colour if read.fallback is not None else None
                 self.vertex_color = True
                 return dict(_VERTEX_COLOR)
             unknown = GREY if read.name == DISPLAY else (0.0, 0.0, 0.0)
-            return _rgb([min(max(c, 0.0), 1.0) for c in read.colour or unknown])
+            return _rgb([min(max(c * weight, 0.0), 1.0) for c in read.colour or unknown])
         node = self.texture(name)
         if node is None:
             return (

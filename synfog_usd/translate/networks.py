@@ -6,6 +6,7 @@ of a picture on its way is worked out in `nodes`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,12 +37,21 @@ _STEPS = 12
 
 
 def fed_by(
-    output: Usd.Attribute, name: str, time: Usd.TimeCode, notes: Diagnostics, shader: Sdf.Path, images: ImageReader
+    output: Usd.Attribute,
+    name: str,
+    time: Usd.TimeCode,
+    notes: Diagnostics,
+    shader: Sdf.Path,
+    images: ImageReader,
+    of_shape: Callable[[Usd.Attribute], tuple[float, ...] | None],
 ) -> TextureNode | None:
     """The picture or constant behind a shader output, or None with a note where there is none that is known.
 
     A picture that comes straight, or by its channels alone, stays as its file has it;
     one that other nodes change is worked out.
+
+    Args:
+        of_shape: from the output of a reader to what a primvar of the shape gives.
     """
     channel, strength = "", None
     start = output
@@ -65,7 +75,8 @@ def fed_by(
         output = following
         if strength is not None and kind.startswith("ND_normalmap"):
             start = output
-    return _worked_out(start, name, time, notes, shader, images, strength)
+    graph = Graph(time, images, lambda one, kind: _picture(one, kind, time, notes), of_shape)
+    return _worked_out(graph, start, name, notes, shader, strength)
 
 
 def _picture(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
@@ -83,20 +94,13 @@ def _decoded(node: TextureNode, strength: Any) -> TextureNode:
 
 
 def _worked_out(
-    output: Usd.Attribute,
-    name: str,
-    time: Usd.TimeCode,
-    notes: Diagnostics,
-    shader: Sdf.Path,
-    images: ImageReader,
-    strength: Any,
+    graph: Graph, output: Usd.Attribute, name: str, notes: Diagnostics, shader: Sdf.Path, strength: Any
 ) -> TextureNode | None:
     """What nodes make of pictures and constants; where one of them is not known, the first picture behind them."""
-    graph = Graph(time, images, lambda one, kind: _picture(one, kind, time, notes))
     try:
         value = graph.value(output)
     except UnknownNodeError as unknown:
-        return _passed_through(output, name, time, notes, shader, str(unknown), strength)
+        return _passed_through(output, name, graph.time, notes, shader, str(unknown), strength)
     if value.means:
         notes.warn(shader, f"{name} is fed by {', '.join(sorted(value.means))}, which is drawn as its mean")
     if value.others:
@@ -108,7 +112,7 @@ def _worked_out(
         return TextureNode(str(shader), "", "", "rgb", "raw", "repeat", _ONES, _ZEROS, tuple(four), None)
     key = f"{output.GetPath()} of {output.GetPrim().GetStage().GetRootLayer().identifier}"
     spread: Any = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
-    images.keep(key, np.ascontiguousarray(spread))
+    graph.images.keep(key, np.ascontiguousarray(spread))
     made = replace(
         value.picture, file=key, authored=key, channel="rgb", color_space="raw", scale=_ONES, bias=_ZEROS, tiles=()
     )

@@ -34,6 +34,9 @@ MOST_PIXELS = 1 << 24
 IMAGES = ("ND_image_", "ND_tiledimage_", "ND_gltf_image_", "ND_gltf_colorimage", "ND_gltf_normalmap")
 """How MaterialX's nodes begin that are pictures."""
 
+READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
+"""How the shaders begin that give a primvar of the shape."""
+
 ImageOf = Callable[[Usd.Attribute, str], TextureNode | None]
 
 
@@ -68,10 +71,17 @@ class Graph:
 
     Args:
         image_of: from an output and its kind to the picture that it is, or None where it is none.
+        of_shape: from the output of a reader to what a primvar gives, or None where that is no number or colour.
     """
 
-    def __init__(self, time: Usd.TimeCode, images: ImageReader, image_of: ImageOf) -> None:
-        self.time, self.images, self.image_of = time, images, image_of
+    def __init__(
+        self,
+        time: Usd.TimeCode,
+        images: ImageReader,
+        image_of: ImageOf,
+        of_shape: Callable[[Usd.Attribute], tuple[float, ...] | None],
+    ) -> None:
+        self.time, self.images, self.image_of, self.of_shape = time, images, image_of, of_shape
         self.known: dict[str, Value] = {}
 
     def value(self, output: Usd.Attribute) -> Value:
@@ -113,12 +123,19 @@ class Graph:
         for table in (_NODES, _MEANS):
             if category in table:
                 return [name for name, _ in table[category][0]]
-        return [] if self.is_image(kind) else [one.GetBaseName() for one in shader.GetInputs()]
+        return (
+            [] if self.is_image(kind) or kind.startswith(READERS) else [one.GetBaseName() for one in shader.GetInputs()]
+        )
 
     def worked_out(self, shader: UsdShade.Shader, kind: str, output: Usd.Attribute) -> Value:
         """What one node gives, where all that feeds it is known."""
         if self.is_image(kind):
             return self.picture(output, kind)
+        if kind.startswith(READERS):
+            given_by_shape = self.of_shape(output)
+            if given_by_shape is None:
+                raise UnknownNodeError(kind)
+            return constant(*given_by_shape[: _CHANNELS.get(kind.split("_")[-1], 3)])
         category = kind.removeprefix("ND_").split("_")[0]
 
         def given(name: str, *default: float) -> Value:

@@ -187,8 +187,9 @@ class Given:
 
     @property
     def number(self) -> float | None:
-        """The number that it is; None where it is none."""
-        return float(self.value[0]) if not self.fault and len(self.value) == 1 else None  # type: ignore[arg-type]
+        """The number that it is, the mean of a colour's; None where it is none."""
+        colour = self.colour
+        return None if colour is None else sum(colour) / 3.0 if len(self.value) > 1 else colour[0]
 
     @property
     def colour(self) -> tuple[float, float, float] | None:

@@ -356,7 +356,8 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
     if tiles and uv is not None:
         wraps = ["clamp", "clamp"]
     if not file:
-        notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback {fallback[:3]} is used")
+        taken = ", ".join(f"{c:.4g}" for c in fallback)
+        notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback ({taken}) is used")
     return TextureNode(
         path=path,
         file=file,

@@ -658,3 +658,86 @@ def test_a_primvar_that_is_not_there_is_told(empty, polygon_mesh, fallback, note
     (shape,) = [part for key, part in scene.world.items() if key.startswith("shape_")]
     np.testing.assert_allclose(color_of(scene, shape), fallback or (0, 0, 0))
     assert ["tint" in note.text for note in scene.notes if note.path == "/Mesh"] == [True] * notes
+
+
+@pytest.mark.parametrize(
+    "primvar, kind, node, wanted",
+    [
+        ("Float", 0.5, {"base": "Reader"}, {"base_color": [0.1, 0.4, 0.2]}),
+        ("Color3f", (0.5, 0.25, 1.0), {"base_color": "Half"}, {"base_color": [0.25, 0.125, 0.5]}),
+        ("Float", 0.5, {"metalness": "Half"}, {"metallic": 0.25}),
+        ("Float", 1.25, {"specular_IOR": "Reader"}, {"eta": 1.25}),
+        ("Float", 2.5, {"specular_IOR": "Half"}, {"eta": 1.25}),
+    ],
+)
+def test_a_constant_goes_through_nodes_and_into_weights(empty, square, only_shape, primvar, kind, node, wanted):
+    """MaterialX's Standard Surface: base_color times base; the node halves what it gets."""
+    stage = empty()
+    surface = standard_surface(stage, base_color=(0.2, 0.8, 0.4))
+    reads(stage, surface, primvar, node)
+    prim = square(stage, "/Mesh")
+    prim.CreateAttribute("primvars:x", getattr(TYPES, primvar), custom=True).Set(kind)
+    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
+    scene = translate(stage)
+    bsdf = scene.world[only_shape(scene)["bsdf"]["id"]]["bsdf"]
+    for name, value in wanted.items():
+        np.testing.assert_allclose(bsdf[name]["value"] if name == "base_color" else bsdf[name], value, rtol=1e-6)
+    assert [note.text for note in scene.notes if note.severity == "warning"] == []
+
+
+def test_a_constant_is_read_into_the_weight_of_emission_and_a_coloured_opacity(empty, square, only_shape):
+    """100 times a colour in nits; an opacity of three numbers is their mean."""
+    stage = empty()
+    surface = standard_surface(stage, emission_color=(1.0, 2.0, 4.0))
+    reads(stage, surface, "Float", {"emission": "Reader"})
+    reads(stage, surface, "Color3f", {"opacity": "Reader"}, name="y")
+    prim = square(stage, "/Mesh")
+    prim.CreateAttribute("primvars:x", TYPES.Float, custom=True).Set(100.0)
+    prim.CreateAttribute("primvars:y", TYPES.Color3f, custom=True).Set((0.25, 0.5, 0.75))
+    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
+    scene = translate(stage)
+    shape = only_shape(scene)
+    assert shape["emitter"]["radiance"]["value"] == [100, 200, 400]
+    assert scene.world[shape["bsdf"]["id"]]["opacity"] == 0.5
+
+
+def test_vertex_colours_behind_a_node_are_their_mean_and_told(empty, square, only_shape):
+    stage = empty()
+    surface = standard_surface(stage)
+    reads(stage, surface, "Color3f", {"base_color": "Half"})
+    prim = square(stage, "/Mesh")
+    own = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("x", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
+    own.Set([(0.5, 0, 0), (0.5, 0, 1), (0.5, 1, 0), (0.5, 1, 1)])
+    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
+    scene = translate(stage)
+    bsdf = scene.world[only_shape(scene)["bsdf"]["id"]]["bsdf"]
+    np.testing.assert_allclose(bsdf["base_color"]["value"], [0.25] * 3)
+    assert [(note.path, "is drawn as its mean" in note.text) for note in scene.notes if note.severity == "warning"] == [
+        ("/Mesh", True)
+    ]
+
+
+def standard_surface(stage, **constants):
+    """A MaterialX Standard Surface /Look."""
+    material = UsdShade.Material.Define(stage, "/Look")
+    surface = UsdShade.Shader.Define(stage, "/Look/Surface")
+    surface.CreateIdAttr("ND_standard_surface_surfaceshader")
+    for name, value in constants.items():
+        surface.CreateInput(name, TYPES.Color3f).Set(value)
+    material.CreateSurfaceOutput("mtlx").ConnectToSource(surface.CreateOutput("out", TYPES.Token))
+    return surface
+
+
+def reads(stage, surface, kind, inputs, name="x"):
+    """Inputs of a surface, each fed by a reader of a primvar or by a half of it."""
+    word, value = ("float", TYPES.Float) if kind == "Float" else ("color3", getattr(TYPES, kind))
+    reader = UsdShade.Shader.Define(stage, f"/Look/Reader_{name}")
+    reader.CreateIdAttr(f"ND_geompropvalue_{word}")
+    reader.CreateInput("geomprop", TYPES.String).Set(name)
+    half = UsdShade.Shader.Define(stage, f"/Look/Half_{name}")
+    half.CreateIdAttr("ND_multiply_float" if word == "float" else "ND_multiply_color3FA")
+    half.CreateInput("in1", value).ConnectToSource(reader.CreateOutput("out", value))
+    half.CreateInput("in2", TYPES.Float).Set(0.5)
+    outputs = {"Reader": reader.GetOutput("out"), "Half": half.CreateOutput("out", value)}
+    for one, node in inputs.items():
+        surface.CreateInput(one, value).ConnectToSource(outputs[node])
