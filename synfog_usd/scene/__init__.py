@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.base.colour import LUMINANCE, SRGB_TO_LINEAR
 from synfog_usd.base.fisheye import Fisheye
 from synfog_usd.base.image import PARALLEL_DEG as PARALLEL_DEG
+from synfog_usd.base.notes import Note
 from synfog_usd.fog.volume import FogVolume
 
 
