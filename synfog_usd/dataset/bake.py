@@ -199,7 +199,8 @@ def bake(
                     view = views[shot.lighting] = meter_view(shot.lighting, clear, session, plan, behind.wait)
                     mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
                     exposed = f", exposed {view.exposure}" if view.exposure else ""
-                    log(f"{shot.lighting}: this view has {mean}{exposed}")
+                    if plan.clip is None or not plan.clip.number:  # sequence.json has the exposures of all frames
+                        log(f"{shot.lighting}: this view has {mean}{exposed}")
                 share = sampling_share(Settings(samples=plan.samples, denoise=plan.promise.clean)) if alone else 1.0
                 sampled = SET_UP + (1.0 - SET_UP) * share
                 told = within(step, SET_UP, sampled)

@@ -8,18 +8,23 @@ CinemaDNG's names, and a video to look at.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from synfog_usd.base import files, system
+from synfog_usd.base.errors import OutputError
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.base.seeds import frame_seed
 from synfog_usd.dataset.bake import Baked, bake
+from synfog_usd.dataset.ledger import EARLIER
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
 
 SEQUENCE = "sequence.json"
+CLIPS = "clips"
 
 SHOWN = (".png", ".jpg")
 """Outputs that a video is made of."""
@@ -55,6 +60,7 @@ def bake_sequence(
         usd.override(stage, choices=plan.choices)
         rate = float(stage.GetTimeCodesPerSecond())
         still = len(codes) > 1 and _stands_still(stage, plan, codes)
+        of_all = (str(plan.stage), *dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
     warnings = [f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still"] * still
     for text in warnings:
         log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one --frame")
@@ -63,6 +69,7 @@ def bake_sequence(
     before: dict[str, tuple[float, float]] = {}
     rows: list[dict[str, Any]] = []
     bakes: list[Baked] = []
+    told = set[str]()
     with system.only_writer(plan.out):
         for number, code in enumerate(codes):
             folder, seed = f"{number:06d}", frame_seed(plan.seed, code)
@@ -73,13 +80,16 @@ def bake_sequence(
                 out=plan.out / folder,
                 clip=ClipFrame(number, per_s, adaptation_s, dict(before)),
             )
-            told = within(progress, number / len(codes), (number + 1) / len(codes))
+            part = within(progress, number / len(codes), (number + 1) / len(codes))
 
-            def said(what: str, fraction: float, number: int = number, told: Progress = told) -> None:
-                told(f"frame {number + 1} of {len(codes)}: {what}", fraction)
+            def said(what: str, fraction: float, number: int = number, part: Progress = part) -> None:
+                part(f"frame {number + 1} of {len(codes)}: {what}", fraction)
 
             def line(text: str, code: float = code) -> None:
-                log(f"frame {code:g}: {text}")
+                if text not in told:
+                    log(f"frame {code:g}: {text}")
+                if text.startswith(tuple(f"{one}: " for one in of_all)):  # of the stage or a lighting, not of a shot
+                    told.add(text)
 
             baked = bake(one, progress=said, log=line, reading=reading)
             bakes.append(baked)
@@ -90,6 +100,7 @@ def bake_sequence(
             }
             before |= exposures
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
+        earlier = _clip_files(plan.out)
         clips = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
         found = {
             "schema": "synfog-usd/sequence",
@@ -102,6 +113,8 @@ def bake_sequence(
             "clips": clips,
         }
         files.write_json(plan.out / SEQUENCE, found)
+        if moved := _set_aside(plan.out, earlier - _clip_files(plan.out)):
+            log(f"{plan.out}: {moved}")
     progress("done", 1.0)
     return found, bakes[0]
 
@@ -117,6 +130,49 @@ def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:
     return True
 
 
+def _clip_files(out: Path) -> set[Path]:
+    """Files of clips, in the folder of a sequence, that its `sequence.json` tells of; none where there is none."""
+    try:
+        found = json.loads((out / SEQUENCE).read_bytes())
+        clips = [out / clip for clip in found["clips"]]
+        numbers = [int(row["number"]) for row in found["frames"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    inside = (out / CLIPS).resolve()
+    named = [
+        path
+        for clip in clips
+        for path in ([clip] if clip.suffix else [clip / f"{clip.name}_{number:06d}.dng" for number in numbers])
+    ]
+    return {path for path in named if path.is_file() and path.resolve().is_relative_to(inside)}
+
+
+def _set_aside(out: Path, left: Collection[Path]) -> str:
+    """Move clips' files of an earlier bake of other frames to where they are mixed with no others; what was moved, in
+    words.
+
+    Raises:
+        OutputError: a file cannot be moved.
+    """
+    if not left:
+        return ""
+    target = next(
+        folder for number in itertools.count(1) if not (folder := out / f"{EARLIER}-{number}" / CLIPS).exists()
+    )
+    try:
+        for path in sorted(left):
+            place = target / path.relative_to(out / CLIPS)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(place)
+            with contextlib.suppress(OSError):  # something else lies there
+                path.parent.rmdir()
+                path.parent.parent.rmdir()
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written ({error.strerror}); choose another output folder") from error
+    count = f"{len(left)} file{'s' * (len(left) > 1)}"
+    return f"{count} of an earlier bake of other frames moved from {CLIPS} to {target}"
+
+
 def _gather(
     out: Path, rows: Sequence[Mapping[str, Any]], first: Mapping[str, Any], per_s: float, log: Callable[[str], None]
 ) -> list[str]:
@@ -127,7 +183,7 @@ def _gather(
     problem = video.available()
     for shot in first["shots"]:
         folders = [out / row["folder"] / shot["folder"] for row in rows]
-        clip = Path("clips") / shot["folder"].replace("/", "_")
+        clip = Path(CLIPS) / shot["folder"].replace("/", "_")
         for name in sorted(shot["files"]):
             stem, suffix = Path(name).stem, Path(name).suffix.lower()
             if suffix == ".dng":

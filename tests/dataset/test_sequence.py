@@ -262,3 +262,30 @@ def test_a_video_of_a_still_is_told(tmp_path):
 def test_a_clip_is_written_without_its_encoders_words(tmp_path, capfd):
     video.write_clip(tmp_path / "a.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, per_s=24.0)
     assert capfd.readouterr() == ("", "")
+
+
+def test_fewer_frames_leave_no_old_ones_in_the_clips(tmp_path):
+    """What an earlier run has beyond is set aside with a line; frames' own folders stay. How light it is is said once,
+    and again where it changes.
+    """
+    stage, out, told = tmp_path / "street.usda", tmp_path / "out", []
+    text = street(sky=123.0).replace("float inputs:intensity = 123.0", STEP.replace("1: 4000, 2", "1: 4000, 1.5"))
+    stage.write_text(text)
+    plan = BakePlan(stage, out, lighting=("sky",), fog=("clear",), size=(32, 18), samples=2)
+    bake_sequence(plan, (0.0, 1.0, 2.0), log=told.append)
+    light = [line for line in told if "on open ground" in line]
+    assert [line.partition(":")[0] for line in light] == ["frame 0", "frame 2"]
+    assert len([line for line in told if "this view has" in line]) == 1
+    raws = out / "clips/sky_clear/raw"
+    third = (raws / "raw_000002.dng").read_bytes()
+    (raws / "notes.txt").write_text("of a user")
+    told.clear()
+    found, _ = bake_sequence(plan, (0.0, 1.0), log=told.append)
+    assert sorted(path.name for path in raws.iterdir()) == ["notes.txt", "raw_000000.dng", "raw_000001.dng"]
+    assert (out / "earlier-1/clips/sky_clear/raw/raw_000002.dng").read_bytes() == third
+    assert (out / "000002/sky/clear/raw.dng").is_file() and len(found["frames"]) == 2
+    (line,) = [line for line in told if "earlier" in line]
+    assert line == f"{out}: 1 file of an earlier bake of other frames moved from clips to {out / 'earlier-1/clips'}"
+    told.clear()
+    bake_sequence(plan, (0.0, 1.0), log=told.append)
+    assert not [line for line in told if "earlier" in line]
