@@ -11,7 +11,7 @@ import concurrent.futures
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from synfog_usd.dataset import contact, labels, lanes, objects, stereo, visibili
 from synfog_usd.dataset.ledger import Ledger, metadata_of
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.scenes import cleared, pinhole_of, size_of
-from synfog_usd.dataset.session import METER_WIDTH_PX, Renderer, Session, begin, one_camera
+from synfog_usd.dataset.session import METER_WIDTH_PX, Reading, Renderer, Session, begin, one_camera
 
 if TYPE_CHECKING:
     import numpy as np
@@ -95,38 +95,24 @@ def bake(
         SynfogError: with place and fix; what was finished stays.
     """
     from synfog_usd import stage as usd
-    from synfog_usd.camera.exposure import moments_of
     from synfog_usd.render import backend
-    from synfog_usd.render.film import aovs
-    from synfog_usd.render.shot import Settings, check_memory, sampling_share
 
     if session is None:
         session = begin(plan, None if plan.camera is None else [plan.camera], reading)
         plan = replace(plan, camera=one_camera(session))
-    eye, stage, graph, renderer = plan.camera, session.stage, session.graph, session.renderer
-    asked = plan = replace(plan, rig=session.plan.rig)
-    specimen, scenes = session.specimen(eye), session.scenes(eye)
+    asked = replace(plan, rig=session.plan.rig)
+    scenes = session.scenes(plan.camera)
     with reading():
-        every = shots(plan, usd.variants(stage))
-        plan = replace(session.of(eye), out=plan.out)
+        every = shots(asked, usd.variants(session.stage))
+        plan = replace(session.of(plan.camera), out=plan.out)
         todo = tuple(shot for shot in every if lighting in (None, shot.lighting))
         scenes.survey(every if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
-
-    if plan.strict and any(note.severity == "warning" for note in scenes.notes(every)):
-        raise StrictError(
-            "\n".join(
-                f"{note.path or plan.stage}: {note.text}" for note in scenes.notes(every) if note.severity == "warning"
-            )
-        )
+    if plan.strict:
+        _refuse_warnings(plan, scenes.notes(every))
     if all(shot.asked is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
-        free = next(name for name in ("mor150", "mor200", "mor250") if name not in usd.variants(stage).get("fog", ()))
-        log(
-            f"{plan.stage}: no fog in it, and none was asked for: baking clear air. --fog {free} adds fog; a closed "
-            f"prim with SynFogMediumAPI says where it is (see docs/artists.md)."
-        )
+        log(_no_fog(plan, usd.variants(session.stage).get("fog", ())))
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metered = is_metered(graph, plan)
-    metadata = metadata_of(asked, usd.stage_hash(stage), graph.hash, chosen.variant)
+    metadata = metadata_of(asked, usd.stage_hash(session.stage), session.graph.hash, chosen.variant)
 
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
@@ -136,85 +122,8 @@ def bake(
         kept = tuple(shot.folder for shot in todo if shot not in unfinished)
         if kept:
             log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
-        seconds: dict[str, float] = {}
-        views: dict[str, _View] = {}  # by lighting
-        lit = set[str]()  # lightings of which it was told how light they are
-
-        def share_done(index: int, fraction: float) -> float:
-            return (index + fraction) / max(len(unfinished), 1)
-
-        with reading():
-            first = scenes.of(every[0])
-        alone = first.camera.width_px * first.camera.height_px > ALONE_PX
-
-        for shot in unfinished:
-            if shot in scenes.known:
-                check_memory(scenes.known[shot], Settings(bands=plan.bands, denoise=plan.promise.clean))
-        if moved := ledger.set_aside(every, {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}):
-            log(f"{plan.out}: {moved}")
-
-        def label(index: int) -> None:
-            """After the shot of this number, and before the next; -1 before all."""
-            done = share_done(index, 1.0)
-            if plan.draft or ledger.labels_done():
-                return
-
-            def told(what: str, part: float) -> None:
-                progress(f"labels: {what} {part:.0%}", done)
-
-            progress("labels", done)
-            loaded = renderer.within(replace(first, fog=()))
-            pierced, view = aovs.pierced(loaded, progress=told), views.get(every[0].lighting)
-            seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
-            ledger.add_labels(_write_labels(seen, first, plan, graph, scenes.taken, pierced, loaded))
-
-        def finish(shot: Shot, picture: _Picture, began: float) -> None:
-            made = picture(silent)
-            row = _finish(made, graph, plan, specimen)
-            ledger.add(shot, row)
-            seconds[shot.folder] = time.perf_counter() - began
-            for line in row["warnings"]:
-                log(f"{shot.folder}: {line}")
-
-        if alone or every[0] not in unfinished:
-            label(-1)
-        with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
-            for index, shot in enumerate(unfinished):
-                if shot == every[0] and shot.fog != CLEAR:
-                    label(index - 1)
-                began = time.perf_counter()
-
-                def step(what: str, fraction: float, index: int = index, shot: Shot = shot) -> None:
-                    progress(f"{shot.folder}: {what}", share_done(index, fraction))
-
-                step("translating", 0.0)
-                with reading():
-                    scene = scenes.of(shot)
-                    clear = clear_scenes(shot, session, eye) if metered and shot.lighting not in views else None
-                if shot.lighting not in lit:
-                    lit.add(shot.lighting)
-                    log(f"{shot.lighting}: {scenes.light[shot.lighting]}")
-                if clear is not None:
-                    step("metering", METERED)
-                    view = views[shot.lighting] = meter_view(shot.lighting, clear, session, plan, behind.wait)
-                    mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
-                    exposed = f", exposed {view.exposure}" if view.exposure else ""
-                    if plan.clip is None or not plan.clip.number:  # sequence.json has the exposures of all frames
-                        log(f"{shot.lighting}: this view has {mean}{exposed}")
-                share = sampling_share(Settings(samples=plan.samples, denoise=plan.promise.clean)) if alone else 1.0
-                sampled = SET_UP + (1.0 - SET_UP) * share
-                told = within(step, SET_UP, sampled)
-                step("rendering", SET_UP)
-                view = views.get(shot.lighting)
-                if alone:
-                    behind.wait()
-                picture = sample_shot(shot, scene, renderer, view, plan, scenes.taken, moments_of(graph), told)
-                if alone:
-                    renderer.free()
-                    picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
-                behind.do(functools.partial(finish, shot, picture, began))
-                if shot == every[0] and shot.fog == CLEAR:  # the scene is there, whole
-                    label(index)
+        work = _Work(asked.camera, plan, session, ledger, every, unfinished, progress, log, reading)
+        work.do()
         with reading():
             scenes.survey(todo)
         notes = ledger.notes = scenes.notes(todo)
@@ -223,7 +132,164 @@ def bake(
             missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
             ledger.finish(every, contact.write(plan.out, every, ledger.rows, told=missing))
     progress("done", 1.0)
-    return Baked(ledger.manifest(todo), seconds, kept, notes)
+    return Baked(ledger.manifest(todo), work.seconds, kept, notes)
+
+
+def _refuse_warnings(plan: BakePlan, notes: Sequence[Note]) -> None:
+    """Under --strict, the end.
+
+    Raises:
+        StrictError: the translation warned of something.
+    """
+    if lines := [f"{note.path or plan.stage}: {note.text}" for note in notes if note.severity == "warning"]:
+        raise StrictError("\n".join(lines))
+
+
+def _no_fog(plan: BakePlan, variants: Sequence[str]) -> str:
+    free = next(name for name in ("mor150", "mor200", "mor250") if name not in variants)
+    return (
+        f"{plan.stage}: no fog in it, and none was asked for: baking clear air. --fog {free} adds fog; a closed prim "
+        f"with SynFogMediumAPI says where it is (see docs/artists.md)."
+    )
+
+
+class _Work:
+    """The shots of a bake that are to be made, one after the other.
+
+    Args:
+        eye: camera, as the session knows it.
+        plan: what to make.
+        every: all shots; the first one's world is what labels are of.
+        unfinished: those to make.
+        ledger, session, progress, log, reading: see `bake`.
+
+    Attributes:
+        seconds: wall time of each shot that was made, by folder.
+    """
+
+    def __init__(
+        self,
+        eye: str | None,
+        plan: BakePlan,
+        session: Session,
+        ledger: Ledger,
+        every: Sequence[Shot],
+        unfinished: Sequence[Shot],
+        progress: Progress,
+        log: Callable[[str], None],
+        reading: Reading,
+    ) -> None:
+        self.seconds: dict[str, float] = {}
+        self._eye, self._plan, self._session, self._ledger = eye, plan, session, ledger
+        self._every, self._unfinished = every, unfinished
+        self._progress, self._log, self._reading = progress, log, reading
+        self._scenes, self._specimen = session.scenes(eye), session.specimen(eye)
+        self._metered = is_metered(session.graph, plan)
+        self._views: dict[str, _View] = {}  # by lighting
+        self._lit = set[str]()  # lightings of which it was told how light they are
+        with reading():
+            self._first = self._scenes.of(every[0])
+        self._alone = self._first.camera.width_px * self._first.camera.height_px > ALONE_PX
+        self._settings = _settings(plan, None, 1.0)
+
+    def do(self) -> None:
+        """Make them."""
+        from synfog_usd.camera.exposure import moments_of
+        from synfog_usd.render.shot import check_memory
+
+        graph, ledger, plan = self._session.graph, self._ledger, self._plan
+        for shot in self._unfinished:
+            if shot in self._scenes.known:
+                check_memory(self._scenes.known[shot], self._settings)
+        written = {*OF_SHOT, *(f"{name}.exr" for name in moments_of(graph)), *graph.outputs}
+        if moved := ledger.set_aside(self._every, written):
+            self._log(f"{plan.out}: {moved}")
+        if self._alone or self._every[0] not in self._unfinished:
+            self._label(-1)
+        with _Behind() as behind:  # a shot is denoised, developed and written while the next is sampled
+            for index, shot in enumerate(self._unfinished):
+                if shot == self._every[0] and shot.fog != CLEAR:
+                    self._label(index - 1)
+                self._make(index, shot, behind)
+                if shot == self._every[0] and shot.fog == CLEAR:  # the scene is there, whole
+                    self._label(index)
+
+    def _make(self, index: int, shot: Shot, behind: _Behind) -> None:
+        from synfog_usd.camera.exposure import moments_of
+        from synfog_usd.render.shot import sampling_share
+
+        began = time.perf_counter()
+
+        def step(what: str, fraction: float) -> None:
+            self._progress(f"{shot.folder}: {what}", self._done(index, fraction))
+
+        step("translating", 0.0)
+        with self._reading():
+            scene = self._scenes.of(shot)
+        if shot.lighting not in self._lit:
+            self._lit.add(shot.lighting)
+            self._log(f"{shot.lighting}: {self._scenes.light[shot.lighting]}")
+        if self._metered and shot.lighting not in self._views:
+            step("metering", METERED)
+            self._look(shot, behind)
+        sampled = SET_UP + (1.0 - SET_UP) * (sampling_share(self._settings) if self._alone else 1.0)
+        step("rendering", SET_UP)
+        if self._alone:
+            behind.wait()
+        picture = sample_shot(
+            shot,
+            scene,
+            self._session.renderer,
+            self._views.get(shot.lighting),
+            self._plan,
+            self._scenes.taken,
+            moments_of(self._session.graph),
+            within(step, SET_UP, sampled),
+        )
+        if self._alone:
+            self._session.renderer.free()
+            picture = functools.partial(_same, picture(within(step, sampled, 1.0)))
+        behind.do(functools.partial(self._finish, shot, picture, began))
+
+    def _look(self, shot: Shot, behind: _Behind) -> None:
+        """Meter a lighting."""
+        with self._reading():
+            clear = clear_scenes(shot, self._session, self._eye)
+        view = meter_view(shot.lighting, clear, self._session, self._plan, behind.wait)
+        self._views[shot.lighting] = view
+        mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
+        exposed = f", exposed {view.exposure}" if view.exposure else ""
+        if self._plan.clip is None or not self._plan.clip.number:  # sequence.json has the exposures of all frames
+            self._log(f"{shot.lighting}: this view has {mean}{exposed}")
+
+    def _label(self, index: int) -> None:
+        """After the shot of this number, and before the next; -1 before all."""
+        from synfog_usd.render.film import aovs
+
+        done = self._done(index, 1.0)
+        if self._plan.draft or self._ledger.labels_done():
+            return
+
+        def told(what: str, part: float) -> None:
+            self._progress(f"labels: {what} {part:.0%}", done)
+
+        self._progress("labels", done)
+        first, taken = self._first, self._scenes.taken
+        loaded = self._session.renderer.within(replace(first, fog=()))
+        pierced, view = aovs.pierced(loaded, progress=told), self._views.get(self._every[0].lighting)
+        seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
+        self._ledger.add_labels(_write_labels(seen, first, self._plan, self._session.graph, taken, pierced, loaded))
+
+    def _finish(self, shot: Shot, picture: _Picture, began: float) -> None:
+        row = _finish(picture(silent), self._session.graph, self._plan, self._specimen)
+        self._ledger.add(shot, row)
+        self.seconds[shot.folder] = time.perf_counter() - began
+        for line in row["warnings"]:
+            self._log(f"{shot.folder}: {line}")
+
+    def _done(self, index: int, fraction: float) -> float:
+        """Part of the shots that is done."""
+        return (index + fraction) / max(len(self._unfinished), 1)
 
 
 @dataclass(frozen=True)
@@ -349,6 +415,11 @@ class ShotMade:
     noise: Callable[[np.ndarray], np.ndarray] | None
     clear: Mapping[int, float]
     exposures: Mapping[str, Image]
+
+    @property
+    def mor_m(self) -> float | None:
+        """Visibility [m] of the outermost fog, or None."""
+        return next((volume.medium.visibility_m for volume in self.scene.fog if volume.parent is None), None)
 
 
 _Picture = Callable[[Progress], ShotMade]
@@ -495,89 +566,90 @@ def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) ->
     from synfog_usd import camera
     from synfog_usd.camera import writers
 
-    shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
-    folder = plan.out / shot.folder
-    mor = [volume.medium.visibility_m for volume in scene.fog if volume.parent is None]
+    shot, rendered, folder = made.shot, made.rendered, plan.out / made.shot.folder
     marks = {
         "synfog:lighting": shot.lighting,
         "synfog:fog": shot.fog,
-        "synfog:mor_m": mor[0] if mor else 0.0,
+        "synfog:mor_m": made.mor_m or 0.0,
         "synfog:model": rendered.model,
     }
-    variance = rendered.radiance.variance
     more = taken_with(made, plan, specimen)
     radiance = rendered.radiance.with_metadata(**more)
     exposures = {name: part.with_metadata(**more) for name, part in made.exposures.items()}
-    assert variance is not None
-    transmittance = rendered.aovs.transmittance_image()
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
+    writers.write_exr(folder / "layers.exr", _layers(rendered), attributes=marks)
+    files.write_json(folder / "instances.json", labels.instance_list(made.clear, made.scene, _left(made, graph)))
+    for name, part in exposures.items():
+        writers.write_exr(folder / f"{name}.exr", part, attributes=marks)
+    results = camera.develop(
+        graph,
+        inputs_of(graph, rendered, radiance, exposures),
+        seed=noise_seed(plan.seed, shot.lighting, shot.fog, same_noise=plan.same_noise),
+        exposure=made.view.exposure if made.view else None,
+        keep=list(graph.outputs.values()),
+    )
+    for name, node in graph.outputs.items():
+        writers.write_output(name, results[node], folder, options=graph.options_of(name))
+    names = sorted([*OF_SHOT, *(f"{name}.exr" for name in exposures), *graph.outputs])
+    return _row(made, plan) | {"files": {name: files.sha256_of(folder / name) for name in names}}
+
+
+def _layers(rendered: Rendered) -> list[Image]:
+    """What layers.exr holds."""
+    variance = rendered.radiance.variance
+    assert variance is not None
     named = {
         **rendered.components,
         "variance": variance,
         **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()},
     }
-    found = [
-        Image(pixels, tuple(f"{name}.{channel}" for channel in radiance.channels), Quantity.DATA)
+    channels = rendered.radiance.channels
+    found = [rendered.aovs.transmittance_image()]
+    found += [
+        Image(pixels, tuple(f"{name}.{channel}" for channel in channels), Quantity.DATA)
         for name, pixels in named.items()
     ]
     if rendered.error is not None:
         found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
-    writers.write_exr(folder / "layers.exr", [transmittance, *found], attributes=marks)
-    files.write_json(folder / "instances.json", labels.instance_list(made.clear, scene, _left(made, graph)))
-    names = [*OF_SHOT]
-    for name, part in exposures.items():
-        names.append(f"{name}.exr")
-        writers.write_exr(folder / names[-1], part, attributes=marks)
-    exposure = view.exposure if view else None
-    seed = noise_seed(plan.seed, shot.lighting, shot.fog, same_noise=plan.same_noise)
-    results = camera.develop(
-        graph,
-        inputs_of(graph, rendered, radiance, exposures),
-        seed=seed,
-        exposure=exposure,
-        keep=list(graph.outputs.values()),
-    )
-    for name, node in graph.outputs.items():
-        writers.write_output(name, results[node], folder, options=graph.options_of(name))
-        names.append(name)
-    return {
+    return found
+
+
+def _row(made: ShotMade, plan: BakePlan) -> dict[str, Any]:
+    """What the manifest says of a shot, but for its files."""
+    shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
+    size = [scene.camera.width_px, scene.camera.height_px]
+    row: dict[str, Any] = {
         "lighting": shot.lighting,
         "fog": shot.fog,
         "folder": shot.folder,
-        "mor_m": round(mor[0], 6) if mor else None,
+        "mor_m": None if made.mor_m is None else round(made.mor_m, 6),
         "camera": scene.camera.path,
-        "size_px": [taken.width_px, taken.height_px] if taken else [scene.camera.width_px, scene.camera.height_px],
-        **({"rendered_px": [scene.camera.width_px, scene.camera.height_px]} if taken else {}),
-        "model": {
-            "name": rendered.model,
-            "bands": len(radiance.channels),
-            "why": rendered.why,
-        },
+        "size_px": [taken.width_px, taken.height_px] if taken else size,
+    }
+    if taken:
+        row["rendered_px"] = size
+    row |= {
+        "model": {"name": rendered.model, "bands": len(rendered.radiance.channels), "why": rendered.why},
         "samples": float(f"{rendered.samples:.5g}"),
         "denoised": bool(rendered.radiance.provenance.get("denoised", False)),
         "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "mottle": None if rendered.mottle is None else float(f"{rendered.mottle:.4g}"),
-        "exposure": {
-            "exposure_s": exposure.exposure_s,
-            "iso": exposure.iso,
-            **(_metered_on(plan) if None in (plan.exposure_s, plan.iso) else {}),
-            **({"ev": plan.ev} if plan.ev else {}),
-        }
-        if exposure
-        else None,
-        **(
-            {
-                "further_exposures": {
-                    name: {"exposure_s": other.exposure_s, "iso": other.iso} for name, other in view.others.items()
-                }
-            }
-            if view and view.others
-            else {}
-        ),
-        "warnings": [*rendered.warnings, *([why] if (why := _why_black(radiance, scene)) else [])],
-        "files": {name: files.sha256_of(folder / name) for name in sorted(names)},
+        "exposure": _exposure(view.exposure, plan) if view and view.exposure else None,
     }
+    if view and view.others:
+        row["further_exposures"] = {
+            name: {"exposure_s": other.exposure_s, "iso": other.iso} for name, other in view.others.items()
+        }
+    black = _why_black(rendered.radiance, scene)
+    return row | {"warnings": [*rendered.warnings, *([black] if black else [])]}
+
+
+def _exposure(exposure: Any, plan: BakePlan) -> dict[str, Any]:
+    row = {"exposure_s": exposure.exposure_s, "iso": exposure.iso}
+    if None in (plan.exposure_s, plan.iso):
+        row |= _metered_on(plan)
+    return row | ({"ev": plan.ev} if plan.ev else {})
 
 
 def _metered_on(plan: BakePlan) -> dict[str, str]:
