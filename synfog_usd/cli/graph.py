@@ -228,11 +228,8 @@ def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
 
 
 def _read(path: Path, repair: bool = False, quantity: Quantity | None = None) -> Image:
-    if path.suffix.lower() == ".exr":
-        image = writers.read_exr(path, declared=quantity, repair=repair)
-    else:
-        with unheard():  # LibRaw writes a line of its own of each damage
-            image = writers.read_raw(path)
+    with unheard():  # LibRaw writes a line of its own of each damage
+        image = writers.read(path, declared=quantity, repair=repair)
     if count := image.provenance.get("repaired_values", 0):
         print(f"{path}: {count} values that light cannot have were mended", file=sys.stderr)
     return image

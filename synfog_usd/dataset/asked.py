@@ -128,7 +128,8 @@ def _switch(value: Any, option: str) -> bool:
     return value
 
 
-def _seconds(value: Any, option: str) -> float:
+def seconds(value: Any, option: str) -> float:
+    """Seconds, as a number or as 1/200."""
     return numbers.seconds_of(value, option) if isinstance(value, str) else number(value, option)
 
 
@@ -165,7 +166,7 @@ OPTIONS: dict[str, Reader] = {
     "meters_per_unit": number,
     "up": word,
     "shutter": number,
-    "exposure": _seconds,
+    "exposure": seconds,
     "iso": number,
     "ev": number,
     "max_distance": number,

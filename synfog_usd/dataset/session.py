@@ -114,11 +114,7 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
                 f"fStop and focusDistance"
             )
     graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
-    if plan.ev and not camera.exposure_left_open(graph):
-        raise GraphError(
-            f"--ev {plan.ev:g}: graph {graph.name!r} itself says exposure time and ISO, so nothing is metered; change "
-            f"exposure_s or iso there"
-        )
+    check_compensation(graph, plan.ev)
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
         if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
@@ -141,6 +137,21 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
     for one in (*cameras, *plan.rig):
         session.scenes(one)  # before a shot chooses variants
     return session
+
+
+def check_compensation(graph: Any, ev: float) -> None:
+    """Refuse a change of what nobody meters.
+
+    Raises:
+        GraphError: the graph itself says exposure time and ISO.
+    """
+    from synfog_usd import camera
+
+    if ev and not camera.exposure_left_open(graph):
+        raise GraphError(
+            f"--ev {ev:g}: graph {graph.name!r} itself says exposure time and ISO, so nothing is metered; change "
+            f"exposure_s or iso there"
+        )
 
 
 def own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:
@@ -177,6 +188,12 @@ class Renderer:
         self.world: Any = None
         self.loaded: Any = None
         self.views: dict[str, MitsubaScene] = {}
+
+    def serve(self, plan: BakePlan) -> None:
+        """Render for another plan from now on; what is loaded stays where it is what that wants."""
+        if (plan.bands == RGB) != (self.plan.bands == RGB):
+            self.free()
+        self.plan = plan
 
     def within(self, scene: SceneDict) -> MitsubaScene:
         """The scene in the renderer, without boundaries of fog."""

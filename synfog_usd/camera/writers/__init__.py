@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd.base.errors import OutputError, did_you_mean
-from synfog_usd.base.image import Image
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.writers.dng import write_dng
 from synfog_usd.camera.writers.exr import channels_of, check_radiance, read_exr, write_exr
 from synfog_usd.camera.writers.mipi import write_mipi
@@ -70,10 +70,26 @@ def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str,
     return path
 
 
+def read(path: Path, *, declared: Quantity | None = None, repair: bool = False) -> Image:
+    """Read a picture: OpenEXR, or the mosaic of a RAW file.
+
+    Args:
+        path: the file.
+        declared, repair: of an EXR, see `read_exr`.
+
+    Raises:
+        ImageError: missing, damaged, or none of both.
+    """
+    if path.suffix.lower() == ".exr":
+        return read_exr(path, declared=declared, repair=repair)
+    return read_raw(path)
+
+
 __all__ = [
     "WRITERS",
     "channels_of",
     "check_radiance",
+    "read",
     "read_exr",
     "read_raw",
     "write_dng",
