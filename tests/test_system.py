@@ -76,7 +76,8 @@ def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
         """
         from pathlib import Path
         from synfog_usd.base import system
-        from synfog_usd.cli import check, terminal, worker
+        from synfog_usd.cli import terminal, worker
+        from synfog_usd.dataset import check
         from synfog_usd.base.errors import OutputError
 
         stage, out = map(Path, sys.argv[1:])

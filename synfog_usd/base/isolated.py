@@ -12,7 +12,9 @@ import os
 import re
 import runpy
 import site
+import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 FOREIGN = re.compile(
@@ -25,6 +27,9 @@ FOREIGN = re.compile(
 
 SEARCHED = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "DYLD_FALLBACK_LIBRARY_PATH")
 """Variables of folders in which the system looks for programs and libraries; an empty one is the current folder."""
+
+MARK = "SYNFOG_USD_WORKER"
+"""Variable that tells a child of the command line its parent's number."""
 
 PROJECT = Path(__file__).parents[1].name
 
@@ -60,6 +65,20 @@ def forget_foreign() -> None:
     """In the command itself: those variables, before a library looks at them."""
     for name in [*filter(FOREIGN.fullmatch, os.environ)]:
         del os.environ[name]
+
+
+def answer(arguments: Sequence[str], given: str) -> list[str]:
+    """The lines that another command line prints in a child process, which reads `given`; however it ends."""
+    done = subprocess.run(
+        command("synfog_usd.cli.main", *arguments),
+        input=given,
+        env=environment(**{MARK: str(os.getpid())}),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        encoding="utf-8",
+        check=False,
+    )
+    return done.stdout.splitlines()
 
 
 def _packages() -> list[str]:

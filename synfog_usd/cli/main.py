@@ -290,7 +290,7 @@ def check(
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
-    from synfog_usd.cli import check as verb
+    from synfog_usd.dataset import check as verb
 
     read = dict(allow=allow or [], choices=choices or [], metres_per_unit=metres_per_unit, up=up)
     with worker.reading_limits():

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,9 +16,8 @@ from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.sets import journal, offers
 from synfog_usd.dataset.sets.definition import load_set
 from synfog_usd.dataset.sets.layout import Unit
-from synfog_usd.dataset.sets.run import Outcome, RunPlan, numbers_of
-from synfog_usd.dataset.sets.run import run as make
-from synfog_usd.dataset.sets.work import Child, told
+from synfog_usd.dataset.sets.run import Outcome, make_set
+from synfog_usd.dataset.sets.work import CHILD, told
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.sets.cost import Count
@@ -27,14 +25,13 @@ if TYPE_CHECKING:
     from synfog_usd.dataset.sets.status import Status
 
 WATCH_S = 2.0
-CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), worker.MARK)
 
 
 def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:
     """Print what a set holds, at once, and then what it takes, which small units have to tell."""
     from synfog_usd.dataset.sets import cost
 
-    found = offers.known(load_set(file), _offers)
+    found = offers.known(load_set(file), offers.asked)
     counted, expected = cost.count(found), None
     if not as_json:
         _print_count(found, counted)
@@ -66,18 +63,6 @@ def _print_count(found: SetDefinition, counted: Count) -> None:
     print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files", flush=True)
 
 
-def _offers(stages: Sequence[Path]) -> dict[Path, offers.Offer]:
-    """`offers.of_stages` in a child, since a stage may take its reader down: that one offers nothing, and its bake will
-    tell.
-    """
-    found: dict[Path, offers.Offer] = {}
-    while left := [path for path in stages if path not in found]:
-        lines = worker.answer(("dataset", "offers"), "\n".join(map(str, left)))
-        read = [json.loads(line) for line in lines if line.endswith("}")]
-        found |= dict(zip(left, [*read, {}], strict=False))
-    return found
-
-
 def print_offers() -> None:
     """In that child: a line of JSON for each path that it is given."""
     if worker.is_worker():
@@ -93,13 +78,9 @@ def _hours(hours: float) -> str:
 
 def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json: bool, **more: Any) -> None:
     """Make a set; the exit code is 1 where units were set aside or a budget stopped it, 130 after Ctrl-C."""
-    found = offers.known(load_set(file) if file is not None else journal.kept_definition(out), _offers)
-    numbers = numbers_of(only, found.scenes) if only is not None else None
-    plan = RunPlan(out=out, child=CHILD, only=numbers, **more)
-
     try:
         with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
-            outcome = make(found, plan, progress=progress, log=log)
+            outcome = make_set(file, out, only=only, progress=progress, log=log, **more)
     except KeyboardInterrupt:
         again = f"synfog-usd dataset run {file} -o {out}" if file else f"synfog-usd dataset retry {out}"
         print(f"synfog-usd: stopped. Finished units are kept in {out}; {again} goes on from there", file=sys.stderr)

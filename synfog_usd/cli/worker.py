@@ -20,8 +20,8 @@ from types import FrameType
 from typing import Any
 
 from synfog_usd.base import isolated, system
+from synfog_usd.base.isolated import MARK
 
-MARK = "SYNFOG_USD_WORKER"
 INTERRUPTED = 130
 
 TUNED = {"OPENBLAS_NUM_THREADS": "1", "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
@@ -195,20 +195,6 @@ def run(arguments: Sequence[str]) -> int:
         if child.poll() is None:
             child.kill()
             child.wait()
-
-
-def answer(arguments: Sequence[str], given: str) -> list[str]:
-    """The lines that another command line prints in a child process, which reads `given`; however it ends."""
-    done = subprocess.run(
-        isolated.command("synfog_usd.cli.main", *arguments),
-        input=given,
-        env=isolated.environment(**{MARK: str(os.getpid())}),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        encoding="utf-8",
-        check=False,
-    )
-    return done.stdout.splitlines()
 
 
 @contextlib.contextmanager

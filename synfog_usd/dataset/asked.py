@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-import operator
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base import numbers
-from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.values import check_words, count, names, number, path_of, seconds, word
 from synfog_usd.dataset.plan import BakePlan
 
 if TYPE_CHECKING:
@@ -44,28 +43,6 @@ def plan_of(stage: Any, out: Any = None, **asked: Any) -> BakePlan:
     return BakePlan(stage, out, **found)
 
 
-def check_words(asked: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Refuse options that are not known.
-
-    Raises:
-        ParameterError: with those that are.
-    """
-    for word in asked:
-        if word not in known:
-            raise ParameterError(f"no option {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}")
-
-
-def path_of(value: Any, option: str) -> Path:
-    """A path from text or a path.
-
-    Raises:
-        ParameterError: it is neither, or empty.
-    """
-    if not isinstance(value, (str, os.PathLike)) or not str(value).strip():
-        raise ParameterError(f"{option} {value!r}: not the name of a file or folder")
-    return Path(value)
-
-
 def fog_names(value: Any, option: str = "--fog") -> tuple[str, ...]:
     """Names of fogs from a name, metres, a `Fog`, or several of them."""
     several = value if isinstance(value, (list, tuple)) else [value]
@@ -89,48 +66,10 @@ def _fog_name(value: Any, option: str) -> tuple[str, ...]:
     return (Fog(metres).name,)
 
 
-def names(value: Any, option: str) -> tuple[str, ...]:
-    """Names from text with commas, or a list of text."""
-    if isinstance(value, str):
-        return numbers.names_of(value, option) or ()
-    if not isinstance(value, (list, tuple)) or not value or not all(isinstance(one, str) for one in value):
-        raise ParameterError(f"{option} {value!r}: it takes a name, or a list of names")
-    return tuple(value)
-
-
-def number(value: Any, option: str) -> float:
-    """A number, not text."""
-    if isinstance(value, (str, bytes, bool)) or not hasattr(value, "__float__"):
-        raise ParameterError(f"{option} {value!r}: not a number")
-    return float(value)
-
-
-def count(value: Any, option: str) -> int:
-    """A whole number, not text."""
-    try:
-        if isinstance(value, bool):
-            raise TypeError
-        return operator.index(value)
-    except TypeError:
-        raise ParameterError(f"{option} {value!r}: not a whole number") from None
-
-
-def word(value: Any, option: str) -> str:
-    """Text."""
-    if not isinstance(value, str):
-        raise ParameterError(f"{option} {value!r}: it takes a word")
-    return value
-
-
 def _switch(value: Any, option: str) -> bool:
     if not isinstance(value, bool):
         raise ParameterError(f"{option} {value!r}: it takes True or False")
     return value
-
-
-def seconds(value: Any, option: str) -> float:
-    """Seconds, as a number or as 1/200."""
-    return numbers.seconds_of(value, option) if isinstance(value, str) else number(value, option)
 
 
 def _size(value: Any, option: str) -> tuple[int, int] | None:

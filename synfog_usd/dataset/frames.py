@@ -16,16 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image
+from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.values import check_words, names, path_of
+from synfog_usd.camera.writers import write_exr
 from synfog_usd.dataset import bake
-from synfog_usd.dataset.asked import check_words, fog_names, names, path_of, plan_of
+from synfog_usd.dataset.asked import fog_names, plan_of
 from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.labels import label_image
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.session import Session, begin, one_camera
-from synfog_usd.base.errors import ParameterError
-from synfog_usd.base.image import Image
-from synfog_usd.base.progress import Progress, silent
-from synfog_usd.camera.writers import write_exr
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.asked import FogLike
@@ -127,7 +128,7 @@ class Frame:
     layers: Mapping[str, FloatArray]
     instances: tuple[Instance, ...]
     warnings: tuple[str, ...]
-    _taken: Taken
+    _taken: Captured
 
     def __repr__(self) -> str:
         height, width, channels = self.radiance.shape
@@ -147,7 +148,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Taken:
+class Captured:
     """What a camera needs of a frame.
 
     Attributes:
@@ -197,12 +198,14 @@ def load(
     Raises:
         SynfogError: with place and fix.
     """
+    from synfog_usd import stage as usd
     from synfog_usd.render import backend
 
     check_words(options, dict.fromkeys(OF_SCENE))
     asked = {**options, "pipeline": pipeline, "resolution": resolution}
     plan = plan_of(stage, **asked, lighting=AS_AUTHORED if lighting is None else _one(lighting, "--lighting"))
     plan = replace(plan, fog=_one_fog(fog))
+    usd.reread()
     with reading_here():
         session = begin(plan, None if camera is None else [_one(camera, "--camera")], reading_here)
         session = replace(session, plan=replace(session.plan, camera=one_camera(session)))
@@ -253,10 +256,10 @@ def render(
     image = made.rendered.radiance.with_metadata(**bake.taken_with(made, plan, session.specimen(scene._eye)))
     noise = noise_seed(plan.seed, shot.lighting, shot.fog)
     progress("done", 1.0)
-    return _frame(label_image(seen, world.instances), Taken(image, made, metered, session.graph, noise, plan.ev))
+    return _frame(label_image(seen, world.instances), Captured(image, made, metered, session.graph, noise, plan.ev))
 
 
-def _frame(labels: Image, taken: Taken) -> Frame:
+def _frame(labels: Image, taken: Captured) -> Frame:
     planes = dict(zip(labels.channels, np.moveaxis(labels.pixels, 2, 0), strict=True))
     rendered = taken.made.rendered
     groups = {f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
-from synfog_usd.dataset.asked import names, number, plan_of
+from synfog_usd.base.values import names, number
+from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.plan import BakePlan, frame_codes
 
 if TYPE_CHECKING:
@@ -134,8 +135,11 @@ def bake(
     Raises:
         SynfogError: with place and fix; what was finished stays.
     """
+    from synfog_usd import stage as usd
+
     named = {"lighting": lighting, "fog": fog, "camera": camera, "pipeline": pipeline}
     job = job_of(stage, out, **named, quality=quality, seed=seed, **options)
+    usd.reread()
     return run(job, progress=progress, log=LOG.info, reading=reading_here)
 
 

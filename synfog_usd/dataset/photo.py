@@ -13,15 +13,15 @@ import numpy.typing as npt
 
 from synfog_usd import camera as cameras
 from synfog_usd.base import resources, writers
-from synfog_usd.camera.exposure import Exposure, moments_of
-from synfog_usd.dataset import bake
-from synfog_usd.dataset.asked import count, number, path_of, seconds
-from synfog_usd.dataset.frames import Frame
-from synfog_usd.dataset.session import check_compensation
 from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.values import count, number, path_of, seconds
+from synfog_usd.camera.exposure import Exposure, moments_of
 from synfog_usd.camera.graph import NodeGraph, make_graph
 from synfog_usd.camera.graph.outputs import suffix_of
-from synfog_usd.base.image import Image, Quantity
+from synfog_usd.dataset import bake
+from synfog_usd.dataset.frames import Frame
+from synfog_usd.dataset.session import check_compensation
 
 if TYPE_CHECKING:
     Light = Frame | npt.ArrayLike | str | os.PathLike[str] | Mapping[str, npt.ArrayLike | str | os.PathLike[str]]
@@ -165,7 +165,7 @@ def develop(
     return Photo(outputs, metered, graph, results[linear] if linear else None)
 
 
-def cameras_that_ship() -> list[str]:
+def shipped() -> list[str]:
     """Names of the simulated cameras that ship, as `develop`, `load` and `bake` take them."""
     return list(resources.shipped("pipeline"))
 

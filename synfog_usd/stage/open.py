@@ -421,6 +421,22 @@ def authored_path(stage: Usd.Stage, path: str) -> str:
     return path
 
 
+def reread() -> None:
+    """Read layers that this process holds again where their files changed; unsaved edits stay.
+
+    Raises:
+        StageError: a file that cannot be read any more.
+    """
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()
+    for layer in Sdf.Layer.GetLoadedLayers():
+        try:
+            if not layer.anonymous and not layer.dirty:
+                layer.Reload()
+        except (Tf.ErrorException, UnicodeDecodeError) as problem:
+            raise StageError(f"{layer.realPath}: cannot be read as USD ({_reason(problem)})") from problem
+    del quiet
+
+
 def variants(stage: Usd.Stage) -> dict[str, list[str]]:
     """Names within the variant sets 'fog' and 'lighting', from the default prim or any root prim."""
     return {name: list(prim.GetVariantSet(name).GetVariantNames()) for name, prim in _variant_prims(stage).items()}

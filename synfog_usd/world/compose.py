@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from synfog_usd.base import resources
+from synfog_usd.base import resources, values
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.world import parameters
 from synfog_usd.world.departments import write_layers
@@ -45,25 +47,36 @@ def draw(found: Recipe, *, seed: int) -> WorldSpec:
     return DRAWS[found.world](found, seed=seed)
 
 
-def compose(path: Path, out: Path, *, seed: int, changes: Sequence[str] = ()) -> WorldSpec:
-    """Draw a world and write it as a stage: `out`, and a layer for each department beside it.
+def compose(
+    recipe: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    seed: int = 0,
+    changes: Mapping[str, Any] | Sequence[str] = (),
+) -> WorldSpec:
+    """Draw a world and write it as a stage: the file, and a layer for each department beside it.
 
-    References to the shipped assets are relative where `out` lies in the folder that
+    References to the shipped assets are relative where the file lies in the folder that
     holds them, so that the folder can move, and absolute elsewhere.
 
     Args:
-        path: the recipe.
-        out: the stage, .usda, .usdc or .usd.
+        recipe: a name of `recipes`, or a YAML file.
+        path: the stage, .usda, .usdc or .usd.
         seed: the same gives the same bytes in the same place.
-        changes: 'section.key=value' each, over what stands in the recipe.
+        changes: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
+
+    Returns:
+        what was drawn, all numbers.
 
     Raises:
-        RecipeError: with its place.
-        OutputError: the stage cannot be written.
+        SynfogError: with its place; or the stage cannot be written.
     """
+    out, seed = values.path_of(path, "-o"), values.count(seed, "--seed")
+    if isinstance(changes, Mapping):
+        changes = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    spec = draw(load(path, changes), seed=seed)
+    spec = draw(load(values.path_of(recipe, "recipe"), changes), seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
     write_layers(out, lambda place: stage.author(place, spec, assets=assets))
     return spec
@@ -75,3 +88,8 @@ def asset_folder(stage_folder: Path, assets: Path) -> str:
         return assets.as_posix()
     steps = Path(os.path.relpath(assets, stage_folder)).as_posix()
     return steps if steps.startswith("..") else f"./{steps}"
+
+
+def recipes() -> list[str]:
+    """Names of the recipes that ship, as `compose` takes them."""
+    return list(resources.shipped("recipe"))

@@ -14,8 +14,8 @@ from support.stages import street
 
 from synfog_usd.base.notes import Note
 from synfog_usd.camera.profiles import shipped
-from synfog_usd.cli import check as verb
 from synfog_usd.cli.worker import printed
+from synfog_usd.dataset import check as verb
 from synfog_usd.stage.rulebook import finding
 
 

@@ -17,7 +17,7 @@ from synfog_usd.dataset import session
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras, folders_of
-from synfog_usd.dataset.sets.definition import make_set
+from synfog_usd.dataset.sets.definition import define_set
 from synfog_usd.dataset.sets.scenes import scene
 from synfog_usd.dataset.sets.unit import make
 from synfog_usd.translate import Exchange, exchange
@@ -181,7 +181,7 @@ def test_cameras_of_a_set_are_one_rig(tmp_path):
     for way, turned in (("together", 0.0), ("together", -70.0), ("each", -70.0)):
         name = f"{way}{turned:g}"
         rig_stage(tmp_path, right=(0.0, 0.0, 0.0), turn_deg=turned, name=name)
-        found = make_set(
+        found = define_set(
             folder=tmp_path,
             scenes=1,
             stages={f"{name}.usda": 1},

@@ -258,7 +258,7 @@ def test_bytes_do_not_depend_on_how_much_is_in_flight(monkeypatch):
     """Lanes for 1000 chunks at once, or for 100: the same bytes."""
     world = lamps_in_fog(0.87, BOX)
     first = render(world, samples=64, model="path")
-    monkeypatch.setattr("synfog_usd.render.film.accumulator.CHUNKED_LANES", 100)
+    monkeypatch.setattr(accumulator, "CHUNKED_LANES", 100)
     again = render(world, samples=64, model="path")
     assert first.radiance.pixels.tobytes() == again.radiance.pixels.tobytes()
     assert first.radiance.variance.tobytes() == again.radiance.variance.tobytes()

@@ -14,7 +14,7 @@ from support.cli import process, run
 
 from synfog_usd.dataset.sets import cost
 from synfog_usd.dataset.sets.cost import Cost, count
-from synfog_usd.dataset.sets.definition import load_set, make_set
+from synfog_usd.dataset.sets.definition import define_set, load_set
 from synfog_usd.dataset.sets.journal import Tally
 
 
@@ -35,7 +35,7 @@ def test_a_million_shots_are_counted_without_memory_for_them():
 
     def peak(scenes):
         tracemalloc.start()
-        shots = count(make_set(scenes=scenes, **words)).shots
+        shots = count(define_set(scenes=scenes, **words)).shots
         used = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert shots == 2 * scenes
@@ -49,11 +49,11 @@ def test_a_million_shots_are_counted_without_memory_for_them():
 def test_the_plan_of_a_million_shots_is_quick_and_small():
     """In processor time 60 s at most, and below 1 GB, both of a process of its own; measured 6 s and 0.25 GB."""
     code = (
-        "import time; from synfog_usd.dataset.sets.cost import count\n"
-        "from synfog_usd.dataset.sets.definition import make_set\n"
+        "import time; from synfog_usd.dataset.sets.cost import count; "
+        "from synfog_usd.dataset.sets.definition import define_set\n"
         "words = dict(recipes=['rural', 'tunnel'], splits={'train': 9, 'test': 1})\n"
         "fogs = ['clear', {'integer': [300, 900]}, {'integer': [100, 300]}, 50]\n"
-        "found = count(make_set(scenes=125_000, fogs=fogs, **words))\n"
+        "found = count(define_set(scenes=125_000, fogs=fogs, **words))\n"
         "lines = open('/proc/self/status').read().splitlines()\n"  # maxrss has the parent's, too
         "peak = next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))\n"
         "print(found.shots, time.process_time(), peak / 1024)"
@@ -74,7 +74,7 @@ def test_pixels_and_all_else_are_told_apart_by_two_sizes():
     """20 s a unit and 3 s a thousand pixels in one lighting, 40 and 2 in the other: at full size what the lines say.  A
     scene whose pixels take twice as long takes as long without them.  What is less than without pixels does not grow.
     """
-    found = make_set(scenes=9, recipes=["tunnel"], size=[400, 200])
+    found = define_set(scenes=9, recipes=["tunnel"], size=[400, 200])
     seen = [probe((20, 10), 20.6), probe((200, 100), 80.0), probe((200, 100), 140.0), probe((200, 100), 15.0)]
     seen += [probe((20, 10), 40.4, "active"), probe((200, 100), 80.0, "active")]
     growth = (80_000 - 20_000) / (20_000 - 200)
@@ -86,7 +86,7 @@ def test_pixels_and_all_else_are_told_apart_by_two_sizes():
 
 def test_memory_grows_slower_than_pixels():
     """What a street with lamps took at 320 x 180 and at 32 x 18, and what came at 1280 x 720 [MB], within a tenth."""
-    found = make_set(scenes=9, recipes=["motorway"], size=[1280, 720])
+    found = define_set(scenes=9, recipes=["motorway"], size=[1280, 720])
     seen = [{"lighting": "active", "size_px": (32, 18), "peak_mb": 1035}]
     seen += [{"lighting": "active", "size_px": (320, 180), "peak_mb": 1308}]
     assert cost._full(seen, found, "peak_mb", "active") == pytest.approx([2618], rel=0.1)
@@ -94,7 +94,7 @@ def test_memory_grows_slower_than_pixels():
 
 def test_few_scenes_that_differ_leave_the_time_unsure():
     """Three scenes of 10, 20 and 30 s: the standard error of their mean is 10 s / sqrt(3)."""
-    found = make_set(scenes=90, recipes=["tunnel"], size=[100, 50])
+    found = define_set(scenes=90, recipes=["tunnel"], size=[100, 50])
     seen = [{"lighting": "sky", "size_px": (32, 18), "cpu_s": 8.0}]
     seen += [{"lighting": "sky", "size_px": (100, 50), "cpu_s": cpu_s} for cpu_s in (10.0, 20.0, 30.0)]
     assert cost._error(seen, found, {"sky": 90}) == pytest.approx(90 * 10 / 3**0.5)
@@ -108,14 +108,14 @@ def test_scenes_all_over_the_set_are_probed():
     no scene in both lightings.
     """
     words = {"recipes": ["tunnel"], "lightings": [{"choice": {"sky": 1, "active": 1}}]}
-    chosen = cost._chosen(make_set(scenes=100, size=[1280, 720], **words), ["sky", "active"])
+    chosen = cost._chosen(define_set(scenes=100, size=[1280, 720], **words), ["sky", "active"])
     for lighting in ("sky", "active"):
         own = [(planned.number, size) for planned, unit, size in chosen if unit.lighting == lighting]
         assert [size for _, size in own] == [(32, 18), *[(320, 180)] * 5] and own[0][0] == own[1][0]
         assert [number // 20 for number, _ in own[1:]] == list(range(5))
     assert all(unit.lighting in planned.lightings for planned, unit, _ in chosen)
     assert len({planned.number for planned, _, _ in chosen}) == 10
-    one = make_set(scenes=1, size=[200, 100], **(words | {"lightings": ["sky"]}))
+    one = define_set(scenes=1, size=[200, 100], **(words | {"lightings": ["sky"]}))
     assert [size for _, _, size in cost._chosen(one, ["sky"])] == [(32, 18), (200, 100)]
 
 
@@ -125,7 +125,7 @@ def test_a_lighting_that_few_scenes_have_is_probed_with_few_pixels_first(monkeyp
     monkeypatch.setattr(cost, "LOOKED", 4)
     late = 0
     for seed in range(20):
-        found = make_set(scenes=400, **words, seed=seed)
+        found = define_set(scenes=400, **words, seed=seed)
         own = [(one.number, size) for one, unit, size in cost._chosen(found, ["active"]) if unit.lighting == "active"]
         assert [size for _, size in own] == [(32, 18), *[(320, 180)] * (len(own) - 1)] or not own
         late += bool(own) and own[0][0] >= 60  # the first place is scene 20, the second scene 60
@@ -139,7 +139,7 @@ def test_what_is_probed_comes_from_many_recipes():
     shares = dict(residential=3, arterial=3, crossroads=2, roundabout=2, rural=2, motorway=2, car_park=1, bridge=1)
     words = {"recipes": shares | {"tunnel": 1}, "lightings": ["sky", "active"], "size": [1280, 720]}
     for scenes, most in ((500, 10), (6, 4)):
-        chosen = cost._chosen(make_set(scenes=scenes, **words), ["sky", "active"])
+        chosen = cost._chosen(define_set(scenes=scenes, **words), ["sky", "active"])
         seen = {planned.number: planned.source.name for planned, _, _ in chosen}
         assert len(seen) == most
         if scenes > 6:
@@ -161,7 +161,7 @@ def test_kernels_that_are_compiled_first_are_not_taken_for_pixels(monkeypatch):
 
     monkeypatch.setattr(cost, "_probe", probe)
     words = {"recipes": ["tunnel"], "fogs": ["clear", 150], "lightings": ["sky", "active"]}
-    found = make_set(scenes=50, size=[640, 360], **words)
+    found = define_set(scenes=50, size=[640, 360], **words)
     told = cost.estimate(found, count(found), None, workers=1)
     real = 50 * 3 * (20.0 + 5e-4 * 640 * 360) + 2 * 15.0
     assert told.hours * 3600.0 == pytest.approx(real, rel=1e-6) and told.cpu_h == pytest.approx(1.5 * told.hours)
@@ -180,7 +180,7 @@ def test_probes_share_the_machine_as_units_will(monkeypatch):
         return {"seconds": 1.0, "cpu_s": 1.0, "bytes": 1, "peak_mb": 1}
 
     monkeypatch.setattr(cost, "_probe", probe)
-    found = make_set(scenes=50, size=[640, 360], recipes=["tunnel"], lightings=["sky", "active"])
+    found = define_set(scenes=50, size=[640, 360], recipes=["tunnel"], lightings=["sky", "active"])
     cost.estimate(found, count(found), None, workers=2, progress=lambda text, done: told.append(done))
     assert [len(places) for size, places in seen if size == (32, 18)] == [1] * 4
     assert Counter(places for size, places in seen if size != (32, 18))[0, 1] >= 8
@@ -189,10 +189,10 @@ def test_probes_share_the_machine_as_units_will(monkeypatch):
 
 def test_a_units_limit_follows_what_others_took():
     """Ten times the longest, at least ten minutes; by pixels while nothing is known."""
-    found = make_set(scenes=2, recipes=["tunnel"], size=[320, 180])
+    found = define_set(scenes=2, recipes=["tunnel"], size=[320, 180])
     nothing = Cost.known(found, Tally())
     assert nothing.limit_s("sky") == 3600.0
-    large = make_set(scenes=2, recipes=["tunnel"], size=[2560, 1440])
+    large = define_set(scenes=2, recipes=["tunnel"], size=[2560, 1440])
     assert Cost.known(large, Tally()).limit_s("sky") == 4 * 3600.0
     seen = nothing.seen("sky", 100.0).seen("sky", 50.0)
     assert seen.limit_s("sky") == 1000.0 and seen.seen("sky", 3.0).limit_s("sky") == 1000.0

@@ -7,7 +7,7 @@ import pytest
 from support.stages import street
 
 from synfog_usd.base.errors import SynfogError
-from synfog_usd.dataset.sets.definition import load_set, make_set, shipped
+from synfog_usd.dataset.sets.definition import define_set, load_set, shipped
 from synfog_usd.dataset.sets.scenes import scenes
 
 SMALL = """\
@@ -28,7 +28,7 @@ def written(folder, text, name="own.yaml"):
 def test_every_shipped_set_loads(name):
     """And its words make the same scenes in Python."""
     found = load_set(Path(name))
-    again = make_set(found.name, folder=found.folder, **found.words)
+    again = define_set(found.name, folder=found.folder, **found.words)
     assert list(scenes(again, range(6))) == list(scenes(found, range(6)))
     assert again.words == found.words and found.about
 
@@ -72,7 +72,7 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
     written(tmp_path / "base", "synfog: set/1\nscenes: 3\nstages: [worlds/*.usda]\n")
     (tmp_path / "other").mkdir()
     found = load_set(written(tmp_path / "other", "synfog: set/1\nextends: ../base/own.yaml\n"))
-    again = make_set(found.name, folder=found.folder, **found.words)
+    again = define_set(found.name, folder=found.folder, **found.words)
     expected = [(tmp_path / "base" / "worlds" / f"{number}.usda").resolve() for number in range(3)]
     assert [one.stage for one in scenes(found)] == [one.stage for one in scenes(again)] == expected
 
@@ -155,7 +155,7 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, text, told):
 
 def test_python_says_the_same_of_the_same_mistake():
     with pytest.raises(SynfogError, match=r"^fogs\[1\]: fogs 5 is outside 10 to 20000"):
-        make_set(scenes=4, recipes=["tunnel"], fogs=["clear", 5])
+        define_set(scenes=4, recipes=["tunnel"], fogs=["clear", 5])
 
 
 def test_a_stage_is_no_two_scenes(tmp_path):

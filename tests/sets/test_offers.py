@@ -6,7 +6,7 @@ import pytest
 
 from synfog_usd.base.errors import SetError
 from synfog_usd.dataset.sets import index, offers
-from synfog_usd.dataset.sets.definition import make_set
+from synfog_usd.dataset.sets.definition import define_set
 from synfog_usd.dataset.sets.scenes import scenes
 from tests.support.cli import run
 
@@ -60,7 +60,7 @@ def stage(path, *, sets=None, fog=False):
 
 
 def planned(folder, **words):
-    found = make_set(folder=folder, **{"scenes": 1, "stages": ["*.usda"], **words})
+    found = define_set(folder=folder, **{"scenes": 1, "stages": ["*.usda"], **words})
     (one,) = scenes(found)
     return one.lightings, one.fogs
 
@@ -110,7 +110,7 @@ def test_a_name_that_no_stage_has_is_refused_before_anything_is_made(tmp_path):
         ({"fogs": ["thik"]}, r"fogs has 'thik', .* authored, thick, and all take clear .* Did you mean 'thick'\?"),
     ):
         with pytest.raises(SetError, match=told):
-            offers.known(make_set(folder=tmp_path, scenes=2, stages=["*.usda"], **words))
+            offers.known(define_set(folder=tmp_path, scenes=2, stages=["*.usda"], **words))
 
 
 def test_a_payload_of_the_root_may_hold_the_variants(tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd.dataset.sets.definition import load_set, make_set
+from synfog_usd.dataset.sets.definition import define_set, load_set
 from synfog_usd.dataset.sets.scenes import even, held_out, scene, scenes
 from synfog_usd.world.compose import draw
 
@@ -16,12 +16,12 @@ def test_a_scene_is_told_without_the_others():
     """The same from its number as in the row of all, and in a set that has grown."""
     words = {"recipes": {"tunnel": 2, "rural": 1}, "fogs": ["clear", {"integer": [50, 900]}], "seed": 7}
     words["lightings"] = [{"choice": {"sky": 1, "active": 1}}]
-    small, grown = (make_set(scenes=count, splits={"train": 9, "test": 1}, **words) for count in (40, 400))
+    small, grown = (define_set(scenes=count, splits={"train": 9, "test": 1}, **words) for count in (40, 400))
     every = list(scenes(small))
     assert [scene(small, number) for number in range(40)] == every == list(scenes(grown, range(40)))
     assert len({one.seed for one in every}) == 40
     assert len({one.fogs for one in every}) > 30 and len({one.lightings for one in every}) == 2
-    other = make_set(scenes=40, splits={"train": 9, "test": 1}, **{**words, "seed": 8})
+    other = define_set(scenes=40, splits={"train": 9, "test": 1}, **{**words, "seed": 8})
     assert not {one.seed for one in scenes(other)} & {one.seed for one in every}
 
 
@@ -47,7 +47,7 @@ def test_shares_are_dealt_out_to_one(shares):
 
 def test_a_drawn_fog_has_its_distribution():
     """A uniform visibility: mean of 2000 scenes within 4 standard errors of (50 + 150) / 2, and both ends seen."""
-    found = make_set(scenes=2000, recipes=["tunnel"], fogs=[{"integer": [50, 150]}])
+    found = define_set(scenes=2000, recipes=["tunnel"], fogs=[{"integer": [50, 150]}])
     drawn = np.array([float(one.fogs[0][3:]) for one in scenes(found)])
     assert abs(drawn.mean() - 100.0) < 4 * (101**2 / 12) ** 0.5 / 2000**0.5
     assert drawn.min() == 50 and drawn.max() == 150
@@ -55,7 +55,7 @@ def test_a_drawn_fog_has_its_distribution():
 
 def test_what_is_held_out_is_drawn_in_its_split_alone():
     """Of 24 drawn worlds: the models, skies and recipe of the test split are in it, and in no other."""
-    found = make_set(
+    found = define_set(
         scenes=24,
         recipes=["motorway", "bridge"],
         splits={

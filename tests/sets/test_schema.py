@@ -8,7 +8,7 @@ import yaml
 
 from synfog_usd.base.errors import SynfogError
 from synfog_usd.dataset.sets import schema
-from synfog_usd.dataset.sets.definition import make_set, shipped
+from synfog_usd.dataset.sets.definition import define_set, shipped
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -57,7 +57,7 @@ def test_schema_and_reader_agree(validator, words, good):
     said = {"synfog": "set/1", "scenes": 3, "recipes": ["tunnel"], **words}
     assert validator.is_valid(said) == good
     try:
-        make_set(**{key: value for key, value in said.items() if key != "synfog"})
+        define_set(**{key: value for key, value in said.items() if key != "synfog"})
         read = True
     except SynfogError:
         read = False

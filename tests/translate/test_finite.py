@@ -8,7 +8,7 @@ import pytest
 from support.cli import run
 
 from synfog_usd.base.errors import StageError
-from synfog_usd.cli.check import look
+from synfog_usd.dataset.check import look
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import translate
 

@@ -26,7 +26,7 @@ from synfog_usd.base.errors import SetError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.plan import CLEAR
 from synfog_usd.dataset.sets import cluster, identity, journal, offers
-from synfog_usd.dataset.sets.definition import SetDefinition, make_set
+from synfog_usd.dataset.sets.definition import SetDefinition, define_set
 from synfog_usd.dataset.sets.journal import Tally
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.scenes import PlannedScene, scenes
@@ -283,7 +283,7 @@ def _probe(
     place: int,
 ) -> dict[str, Any]:
     words = {**found.words, **({"size": list(size)} if size else {})}
-    small = replace(make_set(found.name, folder=found.folder, **words), offers=found.offers)
+    small = replace(define_set(found.name, folder=found.folder, **words), offers=found.offers)
     with tempfile.TemporaryDirectory(prefix="synfog-probe-") as folder:
         out = Path(folder)
         identity.write(out, small, identity.identity(small, chosen.variant))

@@ -120,7 +120,7 @@ class SetDefinition:
         size: (width, height) [px], or None for the stage's own.
         quality: options of `BakePlan`; exposure: likewise, of all its pipelines.
         folder: where relative paths in `words` start from.
-        words: what makes the same set again, as `make_set` takes it.
+        words: what makes the same set again, as `define_set` takes it.
         offers: what stages offer, by file, of those that were read; others are read when their scene is planned.
     """
 
@@ -159,7 +159,7 @@ def load_set(path: Path) -> SetDefinition:
     return _SetReader(path.stem, path.parent).read(load_file(path, error=SetError))
 
 
-def make_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDefinition:
+def define_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDefinition:
     """A set from Python: the words of the YAML, the same checks.
 
     Args:
@@ -170,7 +170,7 @@ def make_set(name: str = "set", *, folder: Path = Path(), **words: Any) -> SetDe
     Raises:
         SetError, RecipeError: with the place as in 'splits.train'.
 
-    >>> make_set(scenes=0)
+    >>> define_set(scenes=0)
     Traceback (most recent call last):
     ...
     synfog_usd.base.errors.RecipeError: scenes: scenes 0 is outside 1 to 1e+06

@@ -23,6 +23,7 @@ reader of Parquet opens the files too: `pyarrow.dataset.dataset(out / "index")`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,15 +95,20 @@ class Picture(PictureKey):
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def pictures(out: Path) -> Iterator[Picture]:
+def pictures(out: str | os.PathLike[str]) -> Iterator[Picture]:
     """Every picture of a set, in its order.
 
     Args:
         out: folder of the set.
 
+    Returns:
+        one after the other: `scene`, `split`, `source`, `seed`, `lighting`, `camera`, `fog`, `mor_m`, `pipeline`, and
+        `files`, name -> path.
+
     Raises:
-        ParameterError: no set lies there.
+        SynfogError: no set lies there.
     """
+    out = Path(out)
     for path in parts(out):
         yield from _of_part(out, path)
 

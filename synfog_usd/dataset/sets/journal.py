@@ -17,7 +17,7 @@ from typing import Any
 from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError, SetError
 from synfog_usd.dataset.sets import layout
-from synfog_usd.dataset.sets.definition import SetDefinition, make_set
+from synfog_usd.dataset.sets.definition import SetDefinition, define_set
 
 JOURNAL, LOCK, DEFINITION = "journal.jsonl", "lock", "definition.json"
 
@@ -169,4 +169,4 @@ def kept_definition(out: Path) -> SetDefinition:
         raise SetError(f"{out}: no set was begun here; synfog-usd dataset run SET.yaml -o {out} begins one") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SetError(f"{path}: damaged ({error}); dataset run SET.yaml -o {out} writes it again") from error
-    return replace(make_set(name, folder=folder, **words), offers=offers)
+    return replace(define_set(name, folder=folder, **words), offers=offers)

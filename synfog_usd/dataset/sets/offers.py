@@ -6,10 +6,12 @@ A stage without a variant set of a kind is lit, or fogged, as it is authored, wh
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from synfog_usd.base import isolated
 from synfog_usd.base.errors import SetError, StageError, did_you_mean
 from synfog_usd.dataset.plan import AS_AUTHORED, offered_names, visibility_of
 from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS, Offer, SetDefinition
@@ -38,12 +40,22 @@ def of_stages(paths: Sequence[Path]) -> dict[Path, Offer]:
     return {path: of_stage(path) for path in paths}
 
 
+def asked(stages: Sequence[Path]) -> dict[Path, Offer]:
+    """`of_stages` in a child, since a stage may take its reader down.  That one offers nothing, and its bake tells."""
+    found: dict[Path, Offer] = {}
+    while left := [path for path in stages if path not in found]:
+        lines = isolated.answer(("dataset", "offers"), "\n".join(map(str, left)))
+        read = [json.loads(line) for line in lines if line.endswith("}")]
+        found |= dict(zip(left, [*read, {}], strict=False))
+    return found
+
+
 def known(found: SetDefinition, read: Callable[[Sequence[Path]], Mapping[Path, Offer]] = of_stages) -> SetDefinition:
     """The set with what all its stages offer.
 
     Args:
         found: the set.
-        read: of_stages, or what does the same in a process of its own.
+        read: `of_stages`, or `asked`.
 
     Raises:
         SetError: the set names what none of its stages has.

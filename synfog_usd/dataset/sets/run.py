@@ -7,24 +7,27 @@ killed, the same call goes on, and ends with the same bytes.
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import OutputError, ParameterError, SetError
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.values import check_words, path_of
+from synfog_usd.dataset.job import LOG
 from synfog_usd.dataset.sets import cluster, identity, index, journal, layout, offers
 from synfog_usd.dataset.sets.cost import Cost
-from synfog_usd.dataset.sets.definition import SetDefinition
+from synfog_usd.dataset.sets.definition import SetDefinition, define_set, load_set
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.scenes import PlannedScene, scenes
 from synfog_usd.dataset.sets.unit import record, rows
-from synfog_usd.dataset.sets.work import Child, Job, do
+from synfog_usd.dataset.sets.work import CHILD, Child, Job, do
 
 TRIES = 3
 LOOK_S = 1.0
@@ -51,7 +54,7 @@ class RunPlan:
     """
 
     out: Path
-    child: Child
+    child: Child = CHILD
     workers: int | None = None
     scheduler: str | None = None
     batch: Path | None = None
@@ -106,6 +109,49 @@ def numbers_of(text: str, count: int) -> tuple[int, ...]:
             raise ParameterError(f"--only {text}: the set has scenes 0 to {count - 1}")
         found |= dict.fromkeys(range(int(low), int(high or low) + 1))
     return tuple(found)
+
+
+def make_set(
+    what: str | os.PathLike[str] | Mapping[str, Any] | None,
+    out: str | os.PathLike[str],
+    *,
+    only: str | None = None,
+    progress: Progress = silent,
+    log: Callable[[str], None] = LOG.info,
+    **options: Any,
+) -> Outcome:
+    """Make a data set, or go on with it: what is finished is kept.
+
+    The same work as `synfog-usd dataset run`, to the same bytes; each unit (a scene in a lighting) in a child process
+    with limits.
+
+    Args:
+        what: name of a set that ships ('mini'), a YAML file, or its sections as a mapping ({'scenes': 20, 'recipes':
+            ['rural'], ...}); None goes on with the set that lies in `out`.
+        out: folder of the set.
+        only: scenes by number, as '17,40-60'.
+        progress: called with how far it is and the fraction that is done.
+        log: called with lines that tell what goes on.
+        options: workers, scheduler, batch, budget_gb, repair, retry, limit_s, variant, as `RunPlan` has them.
+
+    Returns:
+        `made`, `kept` (numbers of units), `aside` (units that failed three times), `stopped` (why it ended before all
+        was made, or ''), `seconds`.
+
+    Raises:
+        SynfogError: with place and fix; finished units stay.
+    """
+    check_words(options, {field.name: field for field in fields(RunPlan) if field.name not in ("out", "child", "only")})
+    folder = path_of(out, "--out")
+    if what is None:
+        found = journal.kept_definition(folder)
+    elif isinstance(what, Mapping):
+        found = define_set(**what)
+    else:
+        found = load_set(path_of(what, "set"))
+    found = offers.known(found, offers.asked)
+    numbers = numbers_of(only, found.scenes) if only is not None else None
+    return run(found, RunPlan(folder, only=numbers, **options), progress=progress, log=log)
 
 
 def run(

@@ -45,6 +45,10 @@ class Child:
     mark: str
 
 
+CHILD = Child(("synfog_usd.cli.main", "dataset", "unit"), isolated.MARK)
+"""What makes one unit."""
+
+
 @dataclass(frozen=True)
 class Job:
     """A unit to be made.

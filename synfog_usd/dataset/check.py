@@ -1,19 +1,23 @@
-"""`synfog-usd check`: everything that is wrong with a stage, and what its translation will leave out."""
+"""Everything that is wrong with a stage, and what its translation will leave out."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from synfog_usd import stage as usd
 from synfog_usd.base.errors import StageError
+from synfog_usd.base.values import check_words
+from synfog_usd.dataset.asked import plan_of
+from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.plan import AS_AUTHORED
 from synfog_usd.stage import mend, rulebook, rules
 from synfog_usd.translate import Exchange, outdoors, why_black
@@ -35,6 +39,51 @@ MOST_OVERLAPS = 20
 """Pairs of prims with coincident faces that are told."""
 
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What is wrong with a stage or unusual; as text it reads as `synfog-usd check` prints it.
+
+    Attributes:
+        stage: file.
+        findings: gravest first, with `severity` ('error', 'warning' or 'info'), `path`, `text`, `rule` and `mend`.
+        notes: what the translation simplifies or leaves out, with `severity`, `path` and `text`.
+        light: lighting -> how light it is outdoors.
+    """
+
+    stage: Path
+    findings: tuple[Finding, ...]
+    notes: tuple[Note, ...]
+    light: Mapping[str, str]
+
+    def __str__(self) -> str:
+        return as_text(self.stage, self.findings, self.notes, self.light)
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """Findings at which a bake would stop."""
+        return tuple(one for one in self.findings if one.severity == "error")
+
+
+def check(stage: str | os.PathLike[str], **options: Any) -> Checked:
+    """Tell what in a stage is wrong or unusual, how to mend it, and what a bake makes simpler.
+
+    Args:
+        stage: USD file.
+        options: of `synfog-usd check`, with _ for -: choose, meters_per_unit, up, allow.
+
+    Raises:
+        SynfogError: the stage cannot be opened at all.
+    """
+    check_words(options, dict.fromkeys(("choose", "meters_per_unit", "up", "allow")))
+    plan = plan_of(stage, **options)
+    usd.reread()
+    with reading_here():
+        found, notes, light = look(
+            plan.stage, allow=plan.allow, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up
+        )
+    return Checked(plan.stage, tuple(found), tuple(notes), light)
 
 
 def look(
