@@ -11,8 +11,8 @@ from support.cli import process
 from support.stages import street
 
 import synfog_usd as sf
-from synfog_usd import writers
 from synfog_usd.base.image import Quantity
+from synfog_usd.camera import writers
 
 HEAVY = ("mitsuba", "drjit", "pxr", "OpenImageIO", "numpy", "scipy", "pyarrow", "distributed")
 VIEW = ("--lighting", "sky", "--fog", "clear,mor150", "--resolution", "48x27", "--quality", "draft", "--seed", "3")
@@ -210,7 +210,7 @@ WRONG = [
     (sf.bake, [STREET, "out"], {"samples": 1.5}, "--samples 1.5"),
     (sf.bake, [STREET, "out"], {"frames": "all"}, "--frames all"),
     (sf.bake, [STREET, "out"], {"sample": 4}, "Did you mean 'samples'"),
-    (sf.bake, [STREET, "out"], {"seed": None, "cull": "no"}, "--cull 'no'"),
+    (sf.bake, [STREET, "out"], {"seed": None, "strict": "no"}, "--strict 'no'"),
     (sf.develop, [np.zeros((4, 4))], {}, "shape"),
     (sf.develop, [np.full((4, 4, 3), -1.0)], {}, "negative"),
     (sf.develop, [np.ones((4, 4, 3))], {"camera": "fone"}, "Did you mean 'phone'"),

@@ -38,7 +38,7 @@ OF_SCENE = (
 )
 """Options of a bake that `load` takes too."""
 
-OF_RENDER = ("samples", "target_error", "model", "bands", "cull")
+OF_RENDER = ("samples", "target_error", "model", "bands")
 """Options of a bake that `render` takes too."""
 
 
@@ -224,7 +224,7 @@ def render(
         quality: 'draft', 'standard', 'sensor' or 'reference'; they say when sampling stops.
         seed: the same gives the same numbers.
         progress: called with what is done and the fraction that is done.
-        options: of `synfog-usd bake`, with _ for -: samples, target_error, model, bands, cull.
+        options: of `synfog-usd bake`, with _ for -: samples, target_error, model, bands.
 
     Raises:
         SynfogError: with place and fix.
@@ -245,7 +245,7 @@ def render(
         clear = bake.clear_scenes(shot, session, scene._eye)
     view = None
     if bake.is_metered(session.graph, plan):
-        view = bake.meter_view(shot.lighting, clear, session, plan, scenes.taken, lambda: None, silent)
+        view = bake.meter_view(shot.lighting, clear, session, plan, lambda: None)
     metered = session.frame(shot.lighting, scene._eye, clear[scene._eye])
     seen = view.seen if view and view.world is world.world else None
     moments = moments_of(session.graph)

@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import camera as cameras
-from synfog_usd.base import resources, writers
+from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.values import count, number, path_of, seconds
+from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import Exposure, moments_of
 from synfog_usd.camera.graph import NodeGraph, make_graph
 from synfog_usd.camera.graph.outputs import suffix_of
