@@ -24,19 +24,3 @@ def test_the_sheet_shows_all_pictures_by_name_in_rows_of_two(tmp_path):
     (tmp_path / "none").mkdir()
     with pytest.raises(ParameterError, match="no picture"):
         recipes.sheet(tmp_path / "none.jpg", tmp_path / "none")
-
-
-def test_before_stands_beside_after(tmp_path):
-    """Two greys of one recipe; another that only one folder has is left out."""
-    for folder, grey in (("before", 60), ("after", 180)):
-        (tmp_path / folder).mkdir()
-        Image.new("RGB", (320, 180), (grey, grey, grey)).save(tmp_path / folder / "a.png")
-    Image.new("RGB", (320, 180)).save(tmp_path / "after" / "b.png")
-    recipes.sheet(tmp_path / "sheet.jpg", tmp_path / "after", tmp_path / "before")
-    drawn = np.asarray(Image.open(tmp_path / "sheet.jpg"), dtype=float)
-    assert drawn.shape == (360 + 18, 2 * 640 + 4, 3)
-    assert drawn[20:340, 20:620].mean() == pytest.approx(60, abs=2)
-    assert drawn[20:340, 664:1264].mean() == pytest.approx(180, abs=2)
-    (tmp_path / "after" / "a.png").unlink()
-    with pytest.raises(ParameterError, match=r"no picture.*before"):
-        recipes.sheet(tmp_path / "none.jpg", tmp_path / "after", tmp_path / "before")

@@ -1,11 +1,9 @@
 """Pictures of recipes side by side on one sheet.
 
     python -m synfog_usd.lab.study.pages.recipes docs/images/recipes.jpg FOLDER
-    python -m synfog_usd.lab.study.pages.recipes docs/images/before_after.jpg FOLDER BEFORE
 
 The folder holds a picture a recipe, `bridge.png` and so on, as a bake leaves them in
-`sky/clear/srgb.png`; docs/develop.md has the commands.  With a second folder, of an earlier
-version, each stands to the right of the earlier one.
+`sky/clear/srgb.png`; docs/develop.md has the commands.
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ from pathlib import Path
 from synfog_usd.base import files
 from synfog_usd.base.errors import ParameterError
 
-COLUMNS, WIDTH_PX, PAIR_PX, CAPTION_PX, GAP_PX = 2, 800, 640, 18, 4
+COLUMNS, WIDTH_PX, CAPTION_PX, GAP_PX = 2, 800, 18, 4
 
 
-def sheet(target: Path, folder: Path, before: Path | None = None) -> None:
-    """A JPEG of all PNG pictures in `folder` by name, in rows of two; with `before` a row for each that both have.
+def sheet(target: Path, folder: Path) -> None:
+    """A JPEG of all PNG pictures in `folder` by name, in rows of two.
 
     Raises:
         ParameterError: no picture lies there.
@@ -29,12 +27,8 @@ def sheet(target: Path, folder: Path, before: Path | None = None) -> None:
 
     paths, width = sorted(folder.glob("*.png")), WIDTH_PX
     captions = [path.stem for path in paths]
-    if before is not None:
-        names, width = [path.name for path in paths if (before / path.name).is_file()], PAIR_PX
-        paths = [place / name for name in names for place in (before, folder)]
-        captions = [f"{Path(name).stem}, {when}" for name in names for when in ("before", "after")]
     if not paths:
-        raise ParameterError(f"{folder} has no picture, as bridge.png{', that is in ' + str(before) if before else ''}")
+        raise ParameterError(f"{folder} has no picture, as bridge.png")
     pictures = [Image.open(path).convert("RGB") for path in paths]
     height = max(round(width * picture.height / picture.width) for picture in pictures)
     step = height + CAPTION_PX
@@ -49,4 +43,4 @@ def sheet(target: Path, folder: Path, before: Path | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sheet(*(Path(argument) for argument in sys.argv[1:4]))
+    sheet(*(Path(argument) for argument in sys.argv[1:3]))
