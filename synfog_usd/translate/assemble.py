@@ -138,7 +138,7 @@ def with_boundaries(
     notes, given = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
-    mover = Mover(stage, space, time, half_exposure(stage, time, eye.path))
+    mover = Mover(stage, space, time, half_exposure(stage, time, eye.path), notes)
     made = made if made is not None and stage is given else TakenOver()  # a pose is on layers of its own
     images = ImageReader(notes, made.images)
     materials = Materials(time, notes, images, refusal)
@@ -324,7 +324,7 @@ class _Assembler:
         self.domes: list[light.Dome] = []
         self.fog: list[FogVolume] = []
         self.instances: list[Instance] = []
-        self.poser, self.mover = Poser(stage, space, time), mover
+        self.poser, self.mover = Poser(stage, space, time, notes), mover
         self.motion_of: dict[str, Array] = {}
         self.deforming: list[str] = []
         self.instance_of: dict[tuple[str, ...], int] = {}

@@ -176,6 +176,9 @@ def _tell_of_products(settings: UsdRender.Settings, camera: Usd.Prim, notes: Dia
     stage = settings.GetPrim().GetStage()
     paths = settings.GetProductsRel().GetForwardedTargets()
     products = [product for product in map(UsdRender.Product, map(stage.GetPrimAtPath, paths)) if product]
+    for target in paths:
+        if not UsdRender.Product(stage.GetPrimAtPath(target)):
+            notes.warn(settings.GetPath(), f"names the product {target}, which does not exist")
     seen = {product.GetPath(): product.GetCameraRel().GetForwardedTargets() for product in products}
     is_made = asked or camera.GetPath() in [target for targets in seen.values() for target in targets]
     for product in products:
@@ -306,7 +309,7 @@ def _motion(
         return still, still
     first, last = (_place(prim, space, Usd.TimeCode(time.GetValue() + side * half)) for side in (-1.0, 1.0))
     way = last[:3, 3] - first[:3, 3]
-    velocity = velocity_above(prim, UsdGeom.XformCache(time))
+    velocity = velocity_above(prim, UsdGeom.XformCache(time), notes)
     if velocity is not None and not way.any():
         way = space.matrix[:3, :3] @ velocity * (2.0 * half / prim.GetStage().GetTimeCodesPerSecond())
     vector = Rotation.from_matrix(last[:3, :3] @ first[:3, :3].T).as_rotvec()

@@ -11,6 +11,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.pose import told_velocity
 from synfog_usd.translate.space import FAR, Space, columns
 
@@ -23,16 +25,19 @@ STILL_M = 1e-6
 """Way of a metre's corner below which a prim counts as standing."""
 
 _POINT = re.compile(r"([^\[]+)\[(\d+)\]")
-_MOVING = ("positions", "orientations", "orientationsf", "scales", "velocities", "angularVelocities")
+_MOVING = (
+    *("positions", "orientations", "orientationsf", "scales"),
+    *("velocities", "angularVelocities", "accelerations"),
+)
 
 
-def velocity_above(prim: Usd.Prim, now: UsdGeom.XformCache) -> Array | None:
+def velocity_above(prim: Usd.Prim, now: UsdGeom.XformCache, notes: Diagnostics) -> Array | None:
     """(3,) velocity of a prim, its own or that of the nearest above it that has one, in the stage's axes and units a
     second; None for none, and for one that stands.
     """
     while prim and not prim.IsPseudoRoot():
-        if (found := told_velocity(prim, now)) is not None:
-            return found if np.isfinite(found).all() and found.any() else None
+        if (found := told_velocity(prim, now, notes)) is not None:
+            return found if found.any() else None
         prim = prim.GetParent()
     return None
 
@@ -45,13 +50,14 @@ class Mover:
         space: of the scene.
         time: the middle of the exposure.
         half: frames from there to its end; 0 where nothing is to move.
+        notes: where a motion that is no number is told.
 
     Attributes:
         moving: paths that move, as they were asked for.
     """
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float) -> None:
-        self._stage, self._space, self.open = stage, space, half > 0.0
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float, notes: Diagnostics) -> None:
+        self._stage, self._space, self._notes, self.open = stage, space, notes, half > 0.0
         self.moving: dict[str, None] = {}
         if not self.open:
             return
@@ -94,7 +100,7 @@ class Mover:
 
     def _going(self, prim: Usd.Prim) -> Array | None:
         """The same of a prim that goes straight on at its velocity, or that of the nearest above it that has one."""
-        velocity = velocity_above(prim, self._caches[0])
+        velocity = velocity_above(prim, self._caches[0], self._notes)
         if velocity is None:
             return None
         seconds = np.array([0.0, *(one.GetValue() - self._middle.GetValue() for one in self._times)])
@@ -121,13 +127,17 @@ class Mover:
         )
         if not alive and not self._vary(prim):
             return None
+        for attribute in attributes:
+            if attribute and not is_finite(attribute.Get(self._middle)):
+                self._notes.warn(path, f"{attribute.GetName()} has numbers that are not finite; those instances stand")
         found = []
         for cache, time in zip(self._caches, (self._middle, *self._times), strict=True):
             inner = instancer.ComputeInstanceTransformsAtTime(
                 time, self._middle, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
             )
             matrices = np.array(inner, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
-            found.append(columns(cache.GetLocalToWorldTransform(prim)) @ matrices)
+            with np.errstate(invalid="ignore"):  # what is not finite stands
+                found.append(columns(cache.GetLocalToWorldTransform(prim)) @ matrices)
         return np.stack(found) if len({len(one) for one in found}) == 1 else None
 
     def _vary(self, prim: Usd.Prim) -> bool:

@@ -6,17 +6,23 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space, columns
 
 VELOCITY = "physics:velocity"
 """UsdPhysicsRigidBodyAPI's attribute, in stage units per second and the axes of the prim's parent."""
 
 
-def told_velocity(prim: Usd.Prim, now: UsdGeom.XformCache) -> Array | None:
-    """(3,) velocity by a prim's own `physics:velocity`, in the stage's axes and units a second; None for none."""
+def told_velocity(prim: Usd.Prim, now: UsdGeom.XformCache, notes: Diagnostics) -> Array | None:
+    """(3,) velocity by a prim's own `physics:velocity`, in the stage's axes and units a second; None for none, and with
+    a note for one that is no number.
+    """
     authored = prim.GetAttribute(VELOCITY)
     told = authored.Get(now.GetTime()) if authored and authored.HasAuthoredValue() else None
     if told is None:
+        return None
+    if not np.isfinite(told).all():
+        notes.warn(prim.GetPath(), f"{VELOCITY} is {told}, no finite number; it is not taken")
         return None
     return np.asarray(columns(now.GetParentToWorldTransform(prim))[:3, :3] @ np.array(told, dtype=np.float64))
 
@@ -28,9 +34,11 @@ class Poser:
         stage: with its variants chosen.
         space: of the scene.
         time: the moment.
+        notes: where a velocity that is no number is told.
     """
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode) -> None:
+    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics) -> None:
+        self._notes = notes
         self._stage, self._to_scene, self._now = stage, space.matrix, UsdGeom.XformCache(time)
         self._around: tuple[UsdGeom.XformCache, UsdGeom.XformCache] | None = None
         self._seconds = 0.0
@@ -60,7 +68,7 @@ class Poser:
         return frame, self._velocity(prim)
 
     def _velocity(self, prim: Usd.Prim) -> tuple[float, float, float] | None:
-        told = told_velocity(prim, self._now)
+        told = told_velocity(prim, self._now, self._notes)
         if told is not None:
             return self._finite(self._to_scene[:3, :3] @ told)
         if self._around is None:

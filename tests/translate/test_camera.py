@@ -188,6 +188,14 @@ def test_a_product_s_camera_is_told_where_another_is_drawn(empty, own, targets, 
     assert [text.startswith(start) for text, start in zip(texts, told, strict=True)] == [True] * len(told)
 
 
+def test_a_product_that_is_nowhere_is_told(empty):
+    stage = empty()
+    camera(stage)
+    rendered(stage).GetProductsRel().AddTarget("/Render/Gone")
+    found = [(note.path, note.text) for note in translate(stage).notes if "product" in note.text]
+    assert [text for _, text in found] == ["names the product /Render/Gone, which does not exist"]
+
+
 def test_render_settings_without_blur_have_none(empty):
     """disableDepthOfField is a pinhole; disableMotionBlur a shutter that is open for no time, but for one that is asked
     for.

@@ -284,3 +284,23 @@ def test_a_bake_of_all_that_check_lets_through_ends_well(written, tmp_path):
     assert baked.returncode == 0, baked.stderr
     pixels = OpenImageIO.ImageBuf(str(tmp_path / "out" / "authored" / "authored" / "radiance.exr")).get_pixels()
     assert np.isfinite(pixels).all() and pixels[..., :3].max() > 0.0
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf"])
+def test_a_velocity_that_is_no_number_is_told_and_moves_nothing(written, bad):
+    """While the shutter is open; the other point of the instancer goes on."""
+    scattered = (
+        'def PointInstancer "G"\n{\n    int[] protoIndices = [0, 0]\n'
+        "    point3f[] positions.timeSamples = {1: [(-100, 0, 0), (100, 0, 0)]}\n"
+        f"    vector3f[] velocities.timeSamples = {{1: [({bad}, 0, 0), (240, 0, 0)]}}\n"
+        '    rel prototypes = </G/P>\n    def Cube "P"\n    {\n    }\n}\n'
+    )
+    file = written(
+        mesh(f"vector3f physics:velocity = ({bad}, 0, 0)") + scattered,
+        LENS="double shutter:open = -0.5\n    double shutter:close = 0.5",
+    )
+    scene = translate(open_stage(file), frame=1)
+    told = {note.path: note.text for note in scene.notes if note.severity == "warning"}
+    assert "physics:velocity" in told["/C"] and "velocities" in told["/G"]
+    (way,) = scene.motion_of.values()  # 240 cm a second at 24 frames: 10 cm
+    np.testing.assert_allclose(way[0, -1, :3, 3] - way[0, 0, :3, 3], [0.1, 0, 0], atol=1e-9)
