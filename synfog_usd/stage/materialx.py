@@ -328,10 +328,15 @@ class _Writer:
             value = Sdf.AssetPath(path)
         elif kind in _VALUES and kind != "string":
             value = _read(kind, text)
+            where = f"{name} of {given.getParent().getNamePath()!r} in {self.file.name}"
             if value is None:
-                where = f"{name} of {given.getParent().getNamePath()!r} in {self.file.name}"
                 self.left_out.append(f"{where} is {text[:40]!r}, which is no {kind}")
                 return
+            if kind in ("integer", "float") and len(_parts(text)) > 1:
+                self.left_out.append(
+                    f"{where} is {text[:40]!r}, of which {value:g} is taken, as MaterialX does; what follows is no "
+                    f"decimal, which a point begins"
+                )
             if kind.startswith("color"):
                 value = (*_linear(np.array(value[:3]), space), *value[3:])
         made = shader.CreateInput(name, wanted)
@@ -348,7 +353,7 @@ def _read(kind: str, text: str) -> Any | None:
     """
     if kind == "boolean":
         return {"true": True, "false": False}.get(text.strip().lower())
-    parts = [part for part in re.split(r"[,\s]+", text) if part]
+    parts = _parts(text)
     found = [(_WHOLE if kind == "integer" else _NUMBER).match(part) for part in parts]
     if kind in ("integer", "float"):
         parts, found = parts[:1], found[:1]
@@ -358,6 +363,11 @@ def _read(kind: str, text: str) -> Any | None:
     if kind == "integer":
         return int(numbers[0]) if abs(numbers[0]) < 2**31 else None
     return numbers[0] if kind == "float" else tuple(numbers)
+
+
+def _parts(text: str) -> list[str]:
+    """What is parted by commas or blanks, or both."""
+    return [part for part in re.split(r"[,\s]+", text) if part]
 
 
 def _linear(color: Any, space: str) -> list[float]:

@@ -13,6 +13,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
 from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate.finite import reflected
 from synfog_usd.translate.instanced import Around, Inherited
 from synfog_usd.translate.material import DISPLAY, Finish, Materials
 from synfog_usd.translate.primvars import Given, constant, flattened
@@ -81,6 +82,8 @@ class Bindings:
         color = shown.colour if shown is not None else GREY
         if shown is not None and color is None:
             self.notes.warn(leaf.path, f"primvar displayColor {shown.what}, and is no colour; grey is drawn")
+        elif shown is not None and color is not None:
+            color = tuple(reflected(np.array([color]), leaf.path, self.notes)[0].tolist())
         return self.materials.colored(color or GREY, opacity)
 
     def _opacity(self, leaf: Leaf, given: Given | None) -> float:

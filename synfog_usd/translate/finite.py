@@ -1,4 +1,5 @@
-"""Numbers that are none: NaN and infinity on a stage, told with the prim and kept from the renderer.
+"""Numbers that are none: NaN and infinity on a stage, and colours that reflect more than all, told with the prim and
+kept from the renderer.
 
 Takes what was made of a shape, and shaders; gives the same with numbers that can be drawn.
 """
@@ -15,6 +16,9 @@ from pxr import Usd
 
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.shading import GREY
+
+ROUNDED = 1e-3
+"""What a share of light may be outside of 0 to 1 by rounding, as of one colour space into another."""
 
 _TAKEN: Mapping[str, tuple[str, tuple[float, ...]]] = MappingProxyType(
     {
@@ -60,11 +64,22 @@ def of_shape(shape: dict[str, Any], path: str, notes: Diagnostics) -> dict[str, 
 def of_array(values: Any, name: str, path: object, notes: Diagnostics) -> Any:
     """(N, C) of a shape's normals, texture coordinates or colours with finite numbers; the same array where all are."""
     if math.isfinite(float(np.sum(values, dtype=np.float64))):
-        return values
+        return reflected(values, path, notes) if name == "vertex_color" else values
     words, taken = _TAKEN[name]
     bad = ~np.isfinite(values).all(axis=1)
     notes.warn(path, f"{int(bad.sum())} of its {words} are no finite numbers; {taken} is taken")
     return np.where(bad[:, None], np.array(taken, dtype=values.dtype), values)
+
+
+def reflected(colours: Any, path: object, notes: Diagnostics) -> Any:
+    """(N, 3) colours from 0 to 1, since nothing reflects more than it gets; the same array where all are."""
+    least, most = (float(end) for end in (colours.min(initial=0.0), colours.max(initial=1.0)))
+    if least >= 0.0 and most <= 1.0:
+        return colours
+    if least < -ROUNDED or most > 1.0 + ROUNDED:
+        text = f"its colours go from {least:.4g} to {most:.4g}, and 0 to 1 can be drawn; what is outside is taken as 0 "
+        notes.warn(path, f"{text}or 1")
+    return np.clip(colours, 0.0, 1.0)
 
 
 def of_words(part: Any, taken: float) -> Any:

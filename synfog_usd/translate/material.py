@@ -7,7 +7,7 @@ which texture coordinates it reads.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -19,7 +19,7 @@ from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.scene import mean_colour
 from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.finite import tell_inputs
+from synfog_usd.translate.finite import ROUNDED, tell_inputs
 from synfog_usd.translate.misfits import tell_misfits
 from synfog_usd.translate.native import (
     FIRST_SQUARE,
@@ -60,7 +60,7 @@ from synfog_usd.translate.wrap import MODES
 DISPLAY = "displayColor"
 """The primvar of a shape's own colours."""
 
-_MIN_IOR = 1.001
+_MIN_IOR, _UNUSUAL_IOR = 1.001, 10.0
 _CUT_OUT = 0.1
 """Alpha of a card's picture below which nothing is drawn.  Source: OpenUSD's imaging of draw modes."""
 
@@ -431,20 +431,19 @@ class Materials:
         inputs = _ShaderInputs(self, shader, names, look, asked)
         color = inputs.color("diffuseColor", names.color)
         roughness, metallic = inputs.number("roughness", names.roughness), inputs.number("metallic", names.metallic)
-        ior = inputs.constant("ior", 1.5)
+        solid = inputs.index("ior", 1.5)
         bsdf: dict[str, Any] = {"type": "preview_surface", "base_color": color, "roughness": roughness}
         if inputs.constant("useSpecularWorkflow", 0.0):
             bsdf["specular"] = inputs.color("specularColor", (0.0, 0.0, 0.0))
         elif metallic != 0.0:
             bsdf["metallic"] = metallic
-        solid = max(float(ior), _MIN_IOR)
         bsdf["eta"] = max(_reflecting(solid, self._specular(inputs, path)), _MIN_IOR)
         self._subsurface(bsdf, inputs, path)
         clearcoat = inputs.number("clearcoat", names.coat if inputs.has("clearcoat") else 0.0)
         if clearcoat != 0.0:
             coat_roughness = inputs.number("clearcoatRoughness", names.coat_roughness)
             bsdf |= {"clearcoat": clearcoat, "clearcoat_roughness": coat_roughness}
-        clear = self._transmitting(bsdf, inputs, float(inputs.constant("clearIor", solid)), path)
+        clear = self._transmitting(bsdf, inputs, inputs.index("clearIor", solid), path)
         if clear is None and bsdf["eta"] <= _MIN_IOR and not bsdf.keys() - _OF_EVERY_SURFACE:
             bsdf = {"type": "diffuse", "reflectance": bsdf["base_color"]}
         bsdf = {"type": "twosided", "bsdf": self._bumped(bsdf, inputs, path)}
@@ -452,10 +451,10 @@ class Materials:
             share, glass = clear
             glass = self._bumped(glass, inputs, path)
             bsdf = glass if share == 1.0 else {"type": "blendbsdf", "weight": share, "bsdf_0": bsdf, "bsdf_1": glass}
-        opacity = inputs.opacity()
+        opacity, straight = inputs.opacity(), inputs.lets_straight_through()
         if opacity is not None:
             bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
-            if not isinstance(opacity, dict) and str(inputs.constant("opacityMode", "transparent")) == "transparent":
+            if not isinstance(opacity, dict) and straight:
                 self.notes.info(
                     path,
                     f"opacity {opacity:.2f} lets light through straight and takes its share of the reflection too; no "
@@ -524,7 +523,7 @@ class Materials:
         if isinstance(roughness, dict):
             self.notes.warn(path, "a picture of roughness is drawn as its mean where the surface is transparent")
             roughness = float(roughness["bitmap"].mean())
-        tint = inputs.constant_color("transmissionColor", (1.0, 1.0, 1.0))
+        tint = tuple(inputs.shares("transmissionColor", inputs.constant_color("transmissionColor", (1.0, 1.0, 1.0))))
         if float(inputs.constant("transmissionDepth", 0.0)) > 0.0:
             self.notes.info(path, "transmission_depth is not drawn: what passes two faces has the transmission colour")
             tint = tuple(max(float(c), 0.0) ** 0.5 for c in tint)
@@ -756,6 +755,47 @@ class _ShaderInputs:
         between = onto if self.uv == node.uv or this is first else onto @ this @ np.linalg.inv(first)
         return made if (between == np.eye(3)).all() else made | {"to_uv": between}
 
+    def shares(self, name: str, values: Sequence[float]) -> list[float]:
+        """What of a colour or number is from 0 to 1; what is not is told."""
+        taken = [min(max(float(c), 0.0), 1.0) for c in values]
+        if any(abs(one - other) > ROUNDED for one, other in zip(taken, values, strict=True)):
+            given, drawn = (", ".join(f"{c:.4g}" for c in numbers) for numbers in (values, taken))
+            self.notes.warn(
+                self.shader.GetPath(), f"{self.names[name]} is {given}, and 0 to 1 can be drawn; {drawn} is taken"
+            )
+        return taken
+
+    def limited(self, name: str, pixels: Any) -> Any:
+        """Likewise of a picture."""
+        taken = self.images.once(_limited, pixels)
+        if taken is not pixels and np.abs(taken - pixels).max() > ROUNDED:
+            self.notes.warn(
+                self.shader.GetPath(),
+                f"the picture of {self.names[name]} has values from {pixels.min():.4g} to {pixels.max():.4g}, and 0 to "
+                f"1 can be drawn; what is outside is taken as 0 or 1",
+            )
+        return taken
+
+    def index(self, name: str, default: float) -> float:
+        """An index of refraction; below that of vacuum there is none, and one that no glass has is told."""
+        given = float(self.constant(name, default))
+        said = f"{self.names[name]} is {given:g}"
+        if given < 1.0:
+            self.notes.warn(self.shader.GetPath(), f"{said}, and an index of refraction is 1 or more; 1 is taken")
+        elif given > _UNUSUAL_IOR:
+            self.notes.warn(
+                self.shader.GetPath(), f"{said}, and nothing clear has more than 5; it is drawn as it stands"
+            )
+        return max(given, _MIN_IOR)
+
+    def lets_straight_through(self) -> bool:
+        """Whether what is not opaque is clear, rather than not there; a mode of another name is told."""
+        known = ("transparent", "presence")
+        given = self.constant("opacityMode", known[0])
+        if not isinstance(given, str):  # which is told with all values of another kind
+            return True
+        return self.notes.token(self.shader.GetPath(), "opacityMode", given, known, known[0]) == known[0]
+
     def color(self, name: str, default: tuple[float, ...]) -> dict[str, Any]:
         output = self.producer(name)
         if (read := self.read(name, colour=True)) is not None:
@@ -768,23 +808,21 @@ class _ShaderInputs:
                 self.vertex_color = True
                 return dict(_VERTEX_COLOR)
             unknown = GREY if read.name == DISPLAY else (0.0, 0.0, 0.0)
-            return _rgb([min(max(c * weight, 0.0), 1.0) for c in read.colour or unknown])
+            return _rgb(self.shares(name, [c * weight for c in read.colour or unknown]))
         node = self.texture(name)
         if node is None:
             return (
-                _rgb([min(max(c, 0.0), 1.0) for c in self.constant_color(name, default)])
-                if output is None
-                else _rgb(list(default))
+                _rgb(self.shares(name, self.constant_color(name, default))) if output is None else _rgb(list(default))
             )
         value = sampled(node, self.images, channels=3)
         if isinstance(value, tuple):
-            return _rgb([min(max(c, 0.0), 1.0) for c in value])
-        return self.bitmap(self.images.once(_limited, value), node, raw=False)
+            return _rgb(self.shares(name, value))
+        return self.bitmap(self.limited(name, value), node, raw=False)
 
     def number(self, name: str, default: float) -> Any:
         if (read := self.read(name, colour=False)) is not None:
             number = read.given.number if read.given is not None else None
-            given = min(max(0.0 if number is None else number, 0.0), 1.0)
+            (given,) = self.shares(name, [0.0 if number is None else number])
             return 1.0 - given if name in self.names.inverted else given
         node = self.texture(name)
         if node is None:
@@ -793,12 +831,12 @@ class _ShaderInputs:
                 value = value_of(self.shader, self.names[name], self.time)
             if value is None or numbers_in(value) is None:
                 return default
-            given = float(fitted(value, default))
-            return min(max(1.0 - given if name in self.names.inverted else given, 0.0), 1.0)
+            (given,) = self.shares(name, [float(fitted(value, default))])
+            return 1.0 - given if name in self.names.inverted else given
         value = sampled(node, self.images, channels=1)
         if isinstance(value, tuple):
-            return min(max(value[0], 0.0), 1.0)
-        return self.bitmap(self.images.once(_limited, value), node, raw=True)
+            return self.shares(name, value[:1])[0]
+        return self.bitmap(self.limited(name, value), node, raw=True)
 
     def opacity(self) -> Any:
         """Opacity as a number or bitmap, or None where the surface is opaque."""
@@ -827,6 +865,10 @@ class _ShaderInputs:
         )
         if isinstance(value, tuple):
             strength = [max(float(c), 0.0) for c in value]
+            if min(value) < -ROUNDED:
+                self.notes.warn(
+                    self.shader.GetPath(), f"{self.names['emissiveColor']} is below 0, where nothing shines; 0 is taken"
+                )
             return (_rgb(strength), float(LUMINANCE @ strength)) if max(strength) > 0.0 else (None, 0.0)
         assert node is not None
         decoded, luminance = self.images.once(_shining, value)

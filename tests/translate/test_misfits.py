@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from pxr import Gf, Sdf, UsdGeom, UsdShade
 
 from synfog_usd.translate import translate
@@ -221,3 +222,85 @@ def test_a_connection_that_gives_nothing_is_told(painted):
     write(stage, "/M0/Surface", "roughness", TYPES.Float, connection="/Gone.outputs:out")
     scene = drawn_all(stage, 1)
     assert [note.path for note in scene.notes if "roughness gives nothing" in note.text] == ["/M0/Surface"]
+
+
+BEYOND = [
+    ("ior", TYPES.Float, -1.0, "type", "diffuse", "ior is -1, and an index of refraction is 1 or more; 1 is taken"),
+    ("ior", TYPES.Float, 0.0, "type", "diffuse", "ior is 0, and an index of refraction is 1 or more; 1 is taken"),
+    ("ior", TYPES.Float, 50.0, "eta", 50.0, "ior is 50, and nothing clear has more than 5; it is drawn as it stands"),
+    ("roughness", TYPES.Float, 1.5, "roughness", 1.0, "roughness is 1.5, and 0 to 1 can be drawn; 1 is taken"),
+    ("metallic", TYPES.Float, 2.0, "metallic", 1.0, "metallic is 2, and 0 to 1 can be drawn; 1 is taken"),
+    (
+        *("diffuseColor", TYPES.Color3f, Gf.Vec3f(2, 0.5, -1), "base_color", [1.0, 0.5, 0.0]),
+        "diffuseColor is 2, 0.5, -1, and 0 to 1 can be drawn; 1, 0.5, 0 is taken",
+    ),
+    ("opacityMode", TYPES.Token, "glassy", None, None, "opacityMode is 'glassy', which is none of transparent, "),
+    (
+        *("emissiveColor", TYPES.Color3f, Gf.Vec3f(-1, 0, 0), None, None),
+        "emissiveColor is below 0, where nothing shines; 0 is taken",
+    ),
+]
+WITHIN = [
+    ("ior", TYPES.Float, 1.0),
+    ("ior", TYPES.Float, 4.0),
+    ("roughness", TYPES.Float, 1.0),
+    ("diffuseColor", TYPES.Color3f, Gf.Vec3f(1, 0, 0.5)),
+    ("opacityMode", TYPES.Token, "presence"),
+    ("opacityMode", TYPES.Token, "transparent"),
+    ("emissiveColor", TYPES.Color3f, Gf.Vec3f(5, 0, 0)),
+]
+
+
+@pytest.mark.parametrize("name, kind, value, path, wanted, told", BEYOND)
+def test_a_value_that_no_surface_has_is_told_and_the_nearest_one_drawn(painted, name, kind, value, path, wanted, told):
+    stage = painted(1)
+    write(stage, "/M0/Surface", name, kind, value=value)
+    scene = drawn_all(stage, 1)
+    bsdf = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]
+    if path == "type":
+        assert bsdf["type"] == wanted
+    elif path is not None:
+        np.testing.assert_allclose(bsdf[path]["value"] if path == "base_color" else bsdf[path], wanted)
+    (note,) = [note for note in scene.notes if note.path == "/M0/Surface" and note.text.startswith(name)]
+    assert note.text.startswith(told) and note.severity == "warning"
+
+
+@pytest.mark.parametrize("name, kind, value", WITHIN)
+def test_a_value_that_a_surface_may_have_is_not_told(painted, name, kind, value):
+    stage = painted(1)
+    write(stage, "/M0/Surface", name, kind, value=value)
+    assert not [note for note in drawn_all(stage, 1).notes if note.text.startswith(name)]
+
+
+def test_a_picture_that_reflects_more_than_it_gets_is_told(painted, tmp_path):
+    """A picture from 0 to 1 by a scale of 2: its bright half is white."""
+    stage = painted(1)
+    pixels = np.repeat(np.array([[[0, 0, 0], [102, 102, 102], [204, 204, 204], [255, 255, 255]]], np.uint8), 4, axis=0)
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    write(stage, "/M0/Picture", "file", TYPES.Asset, value=Sdf.AssetPath(str(tmp_path / "a.png")))
+    write(stage, "/M0/Picture", "sourceColorSpace", TYPES.Token, value="raw")
+    write(stage, "/M0/Picture", "scale", TYPES.Float4, value=Gf.Vec4f(2, 2, 2, 1))
+    write(stage, "/M0/Surface", "diffuseColor", TYPES.Float3, connection="/M0/Picture.outputs:rgb")
+    scene = drawn_all(stage, 1)
+    colour = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"]["bitmap"]
+    np.testing.assert_allclose(np.unique(colour), [0.0, 0.8, 1.0], atol=1e-6)
+    (note,) = [note for note in scene.notes if note.path == "/M0/Surface" and "picture" in note.text]
+    assert note.text.startswith("the picture of diffuseColor has values from 0 to 2, and 0 to 1 can be drawn")
+
+
+@pytest.mark.parametrize("interpolation, count", [("constant", 1), ("vertex", 4)])
+def test_a_display_colour_that_reflects_more_than_it_gets_is_told(painted, interpolation, count):
+    stage = painted(1)
+    mesh = stage.GetPrimAtPath("/Mesh0")
+    UsdShade.MaterialBindingAPI(mesh).UnbindAllBindings()
+    colours = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", TYPES.Color3fArray, interpolation)
+    colours.Set([(2, 0.5, -1)] * count)
+    scene = drawn_all(stage, 1)
+    shape = scene.world["shape_0"]
+    surface = scene.world[shape["bsdf"]["id"]]["bsdf"]
+    found = shape["vertex_color"] if count > 1 else [surface["reflectance"]["value"]]
+    np.testing.assert_allclose(found, [(1.0, 0.5, 0.0)] * count)
+    (note,) = [note for note in scene.notes if note.path == "/Mesh0"]
+    assert note.text.startswith(
+        "its colours go from -1 to 2, and 0 to 1 can be drawn; what is outside is taken as 0 or"
+    )
