@@ -37,6 +37,9 @@ from synfog_usd.render.motion import moved
 
 INSTALL = "pip install pyoidn"
 
+Network = Literal["high", "balanced", "fast"]
+"""Of Open Image Denoise, the slowest first."""
+
 SURFACE = "surface"
 """The component with guides; every other is taken for airlight."""
 
@@ -245,45 +248,52 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
     Light of rare bright samples is lost in part: see `dualbuffer.towards_truth`.
     """
     images = {name: _image(name, pixels) for name, pixels in components.items()}
-    shape = next(iter(images.values())).shape
     through = _image("transmittance", np.asarray(guides.transmittance)[..., None])
     albedo, normal = _image("albedo", guides.albedo), _image("normal", guides.normal)
+    first, shape = next((name, image.shape) for name, image in images.items())
     wanted = [(name, image, shape) for name, image in images.items()]
-    wanted += [
-        ("transmittance", through, (*shape[:2], 1)),
-        ("albedo", albedo, (*shape[:2], 3)),
-        ("normal", normal, (*shape[:2], 3)),
-    ]
+    wanted += [("transmittance", through, (*shape[:2], 1))]
+    wanted += [("albedo", albedo, (*shape[:2], 3)), ("normal", normal, (*shape[:2], 3))]
     for name, image, fits in wanted:
         if image.shape != fits:
-            raise ParameterError(
-                f"denoise: {name} is {image.shape}, and {next(iter(images))} is {shape}; it must be {fits}"
-            )
+            raise ParameterError(f"denoise: {name} is {image.shape}, and {first} is {shape}; it must be {fits}")
     if through.min() < 0.0 or through.max() > 1.0:
         raise ParameterError(
             f"denoise: transmittance reaches from {through.min():g} to {through.max():g}; it must be within 0 and 1"
         )
-
-    def clean(name: str, image: FloatArray) -> FloatArray:
-        """A large frame fills memory: what the denoiser does not need is made anew after it."""
+    cleaned: dict[str, FloatArray] = {}
+    for name, image in images.items():
         if name in NOISELESS:
-            return np.maximum(image, 0.0)
-        if name not in (
-            SURFACE,
-            LIT,
-        ):  # guides that say that there is no edge: measured 2 to 15 % below no guides at all
-            hiding = np.maximum(1.0 - through, FAINT_AIR)
-            evenly = _known(np.ones_like(albedo), np.zeros_like(normal))
-            return hiding * _clean(image / hiding, evenly, network="fast" if quick else "high")
-        seen, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
-        most = np.float32(BRIGHT * _typical(image / seen))
-        guiding = _known(1.0 - trusted * (1.0 - albedo), trusted * normal)
-        network: Literal["high", "balanced", "fast"] = ("fast" if name == LIT else "balanced") if quick else "high"
-        light = _clean(np.minimum(image / seen, most), guiding, network=network)
-        light += np.maximum(image / seen - most, 0.0)
-        return seen * light
+            cleaned[name] = np.maximum(image, 0.0)
+        elif name in (SURFACE, LIT):
+            network: Network = "high" if not quick else "fast" if name == LIT else "balanced"
+            cleaned[name] = _clean_surface(image, through, albedo, normal, network)
+        else:
+            cleaned[name] = _clean_air(image, through, "fast" if quick else "high")
+    return cleaned
 
-    return {name: clean(name, image) for name, image in images.items()}
+
+def _clean_air(image: FloatArray, through: FloatArray, network: Network) -> FloatArray:
+    """Light of the fog, (H, W, C), before what the fog lets `through`, (H, W, 1).
+
+    Guides say that there is no edge: that errs 2 to 15 % less than no guides at all.  A large frame fills memory: what
+    the denoiser does not need is made anew after it.
+    """
+    hiding = np.maximum(1.0 - through, FAINT_AIR)
+    flat = np.ones((*image.shape[:2], 3), dtype=np.float32)
+    return hiding * _clean(image / hiding, _known(flat, np.zeros_like(flat)), network=network)
+
+
+def _clean_surface(
+    image: FloatArray, through: FloatArray, albedo: FloatArray, normal: FloatArray, network: Network
+) -> FloatArray:
+    """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1)."""
+    seen, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
+    most = np.float32(BRIGHT * _typical(image / seen))
+    guiding = _known(1.0 - trusted * (1.0 - albedo), trusted * normal)
+    light = _clean(np.minimum(image / seen, most), guiding, network=network)
+    light += np.maximum(image / seen - most, 0.0)
+    return seen * light
 
 
 def fine(lights: Mapping[str, FloatArray], shape: tuple[int, ...]) -> FloatArray:
@@ -568,7 +578,7 @@ def _clean(
     image: FloatArray,
     known: Mapping[str, FloatArray] | None = None,
     *,
-    network: Literal["high", "balanced", "fast"] = "high",
+    network: Network = "high",
 ) -> FloatArray:
     """One pass of Open Image Denoise for each three channels, with the network of a quality of its; guides, see
     `_known`, are taken as free of noise.

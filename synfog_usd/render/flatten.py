@@ -65,77 +65,107 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
         stand whose instances are not written out, None where there are none.  Shapes that are not joined keep their
         place in `instance_of`.
     """
-    world, taken = source.world, set[str]()
-    kinds = _kinds(source)
-    parts: dict[tuple[Any, ...], list[_Member]] = {}
-
-    def take(member: _Member, block: int | None = None) -> None:
-        sorts: dict[tuple[Any, ...], list[int]] = {}
-        for place, mesh in enumerate(member.meshes):
-            material = mesh["bsdf"]["id"]
-            smooth = *(name in mesh for name in ARRAYS), bool(mesh.get("face_normals", False))
-            sorts.setdefault((kinds.get(material, material), *smooth), []).append(place)
-        for sort, places in sorts.items():
-            meshes = tuple(member.meshes[place] for place in places)
-            names = tuple(member.names[place] for place in places)
-            some = member._replace(meshes=meshes, labels=member.labels[:, places], names=names)
-            parts.setdefault((*sort, block, member.motion is not None), []).append(some)
-
+    world = source.world
+    gathered = _Gathered(source)
     standing = placements(world)
     placed = _placed(source, standing) if placing else np.zeros(len(standing.keys), dtype=bool)
-    finer = _Detail(source, standing, ~placed)
-    expanded = _expanded(world, standing, finer, ~placed)
-    crowd = crowded(source)
-    for key, value in world.items():
-        if key in crowd or (key.startswith("shape_") and _plain(value)):
-            mesh, block = crowd.get(key, (value, None))
-            label = np.array([[source.instance_of.get((key,), 0)]])
-            take(_Member(key, ("",), (mesh,), None, label, source.motion_of.get(key)), block)
-            taken.add(key)
-    for group, rows in _runs(source, standing, finer, expanded):
-        shapes, keys = finer.prototype(group, finer.level[rows[0]]), [standing.keys[row] for row in rows]
-        labels, motion = _labels(source, keys, shapes), source.motion_of.get(keys[0])
-        take(_Member(keys[0], tuple(shapes), tuple(shapes.values()), standing.to_world[rows], labels, motion))
-        taken.update(keys)
     of_places = {group: rows[placed[rows]] for group, rows in standing.rows.items() if placed[rows].any()}
-    for group in of_places:  # after all others: the last of the joined meshes
-        shapes = shapes_of(world, group)
-        labels = np.zeros((1, len(shapes)), dtype=np.int64)
-        take(_Member(group, tuple(shapes), tuple(shapes.values()), None, labels, None, placed=True))
-    taken.update(standing.keys[row] for row in np.flatnonzero(placed))
+    gathered.take_shapes()
+    expanded = gathered.take_instances(standing, placed)
+    gathered.take_prototypes(of_places)  # after all others: the last of the joined meshes
+    gathered.taken.update(standing.keys[row] for row in np.flatnonzero(placed))
     left = {group for group, rows in standing.rows.items() if not (expanded | placed)[rows].all()}
     if left and of_places:  # which stay Mitsuba's own, that know nothing of our places
         return flatten(source)
-    taken |= {
+    gathered.taken |= {
         key
         for key, value in world.items()
         if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left
     }
+    joined, instances, where = gathered.joined()
+    return joined, instances, _prototypes(source, standing, of_places, where) if of_places else None
 
-    joined, instances = {}, {}
-    where: dict[tuple[str, str], Piece] = {}
-    motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
-    groups, fluxes, emissions = dict(source.group_of), dict(source.flux_of), dict(source.emission_of)
-    for index, ((*_, block, moving), members) in enumerate(parts.items()):
-        key = f"shape_joined_{index}"
-        joined[key] = {**_joined(members), "bsdf": _bsdf(world, members)}
-        if block is not None:
-            joined[key]["emitter"] = members[0].meshes[0]["emitter"]
-            fluxes[key] = sum(fluxes.get(one.key, 0.0) for one in members)
-            for values in (groups, emissions):
-                if members[0].key in values:
-                    values[key] = values[members[0].key]
-        instances[key] = np.concatenate(
-            [np.repeat(one.labels.ravel(), one.faces * len(one.labels)).astype(np.int32) for one in members]
-        )
-        where |= _pieces(key, members)
-        if moving:
-            joined[key]["motion"], motions[key] = _ways(members)
-    rest = {key: value for key, value in world.items() if key not in taken}
-    asked = _asked([*rest.values(), *joined.values()])
-    rest = {key: value for key, value in rest.items() if key not in kinds or key in asked}
-    return (
-        replace(
+
+class _Gathered:
+    """Meshes of a scene that are to be joined, by what they must have in common.
+
+    Attributes:
+        taken: keys of `SceneDict.world` that go.
+    """
+
+    def __init__(self, source: SceneDict) -> None:
+        self.taken = set[str]()
+        self._source, self._kinds = source, _kinds(source)
+        self._parts: dict[tuple[Any, ...], list[_Member]] = {}
+
+    def take_shapes(self) -> None:
+        """What stands by itself."""
+        source, crowd = self._source, crowded(self._source)
+        for key, value in source.world.items():
+            if key in crowd or (key.startswith("shape_") and _plain(value)):
+                mesh, block = crowd.get(key, (value, None))
+                label = np.array([[source.instance_of.get((key,), 0)]])
+                self._take(_Member(key, ("",), (mesh,), None, label, source.motion_of.get(key)), block)
+                self.taken.add(key)
+
+    def take_instances(self, standing: Placements, placed: Flags) -> Flags:
+        """Instances that are written out, of those that are not placed; tells which they are."""
+        source = self._source
+        finer = _Detail(source, standing, ~placed)
+        expanded = _expanded(source.world, standing, finer, ~placed)
+        for group, rows in _runs(source, standing, finer, expanded):
+            shapes, keys = finer.prototype(group, finer.level[rows[0]]), [standing.keys[row] for row in rows]
+            labels, motion = _labels(source, keys, shapes), source.motion_of.get(keys[0])
+            names, meshes = tuple(shapes), tuple(shapes.values())
+            self._take(_Member(keys[0], names, meshes, standing.to_world[rows], labels, motion))
+            self.taken.update(keys)
+        return expanded
+
+    def take_prototypes(self, groups: Iterable[str]) -> None:
+        """What stands in many places, once each."""
+        for group in groups:
+            shapes = shapes_of(self._source.world, group)
+            labels = np.zeros((1, len(shapes)), dtype=np.int64)
+            self._take(_Member(group, tuple(shapes), tuple(shapes.values()), None, labels, None, placed=True))
+
+    def _take(self, member: _Member, block: int | None = None) -> None:
+        sorts: dict[tuple[Any, ...], list[int]] = {}
+        for place, mesh in enumerate(member.meshes):
+            material = mesh["bsdf"]["id"]
+            smooth = *(name in mesh for name in ARRAYS), bool(mesh.get("face_normals", False))
+            sorts.setdefault((self._kinds.get(material, material), *smooth), []).append(place)
+        for sort, places in sorts.items():
+            meshes = tuple(member.meshes[place] for place in places)
+            names = tuple(member.names[place] for place in places)
+            some = member._replace(meshes=meshes, labels=member.labels[:, places], names=names)
+            self._parts.setdefault((*sort, block, member.motion is not None), []).append(some)
+
+    def joined(self) -> tuple[SceneDict, FaceInstances, dict[tuple[str, str], Piece]]:
+        """The scene with them joined, the label id of every face, and where each prototype's mesh lies in them."""
+        source, taken = self._source, self.taken
+        joined, instances = {}, {}
+        where: dict[tuple[str, str], Piece] = {}
+        motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
+        groups, fluxes, emissions = dict(source.group_of), dict(source.flux_of), dict(source.emission_of)
+        for index, ((*_, block, moving), members) in enumerate(self._parts.items()):
+            key = f"shape_joined_{index}"
+            joined[key] = {**_joined(members), "bsdf": _bsdf(source.world, members)}
+            if block is not None:
+                joined[key]["emitter"] = members[0].meshes[0]["emitter"]
+                fluxes[key] = sum(fluxes.get(one.key, 0.0) for one in members)
+                for values in (groups, emissions):
+                    if members[0].key in values:
+                        values[key] = values[members[0].key]
+            instances[key] = np.concatenate(
+                [np.repeat(one.labels.ravel(), one.faces * len(one.labels)).astype(np.int32) for one in members]
+            )
+            where |= _pieces(key, members)
+            if moving:
+                joined[key]["motion"], motions[key] = _ways(members)
+        rest = {key: value for key, value in source.world.items() if key not in taken}
+        asked = _asked([*rest.values(), *joined.values()])
+        rest = {key: value for key, value in rest.items() if key not in self._kinds or key in asked}
+        made = replace(
             source,
             world={**rest, **joined},
             instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken},
@@ -143,10 +173,8 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
             group_of=groups,
             flux_of=fluxes,
             emission_of=emissions,
-        ),
-        instances,
-        _prototypes(source, standing, of_places, where) if of_places else None,
-    )
+        )
+        return made, instances, where
 
 
 class _Member(NamedTuple):

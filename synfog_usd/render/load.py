@@ -10,7 +10,7 @@ from __future__ import annotations
 import gc
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from synfog_usd.render.flatten import FaceInstances, flatten
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
-from synfog_usd.render.placed import PlacedScene
+from synfog_usd.render.placed import PlacedScene, Prototypes
 from synfog_usd.scene import Camera, SceneDict
 
 LIGHTS = (
@@ -104,94 +104,22 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
-    if not backend.is_scalar():  # which has no kernels to keep small
-        placing = not boundaries and not backend.is_cuda() and not source.motion_of
-        source, face_instances, prototypes = flatten(source, placing=placing)
-    else:
-        face_instances, prototypes = {}, None
-    source = replace(source, world=_weighted(source))
-    if not boundaries and any(
-        _is_light(part) and not is_sampled_light(part) for part in source.world.values()
-    ):  # Mitsuba wants one to choose
-        source = replace(
-            source,
-            world={key: _left_out(part) if is_sampled_light(part) else part for key, part in source.world.items()},
-        )
-    world = source.world
-    made: dict[str, Any] = {}
-    shapes: dict[tuple[str, ...], Any] = {}
-    top: dict[str, Any] = {"type": "scene"}
-    textures: dict[tuple[Any, ...], Any] = {}
-
-    def convert(value: Any, key: str) -> Any:
-        if isinstance(value, Mapping):
-            if value.get("type") == "ref":
-                if value["id"] not in made:
-                    made[value["id"]] = build(world[value["id"]], value["id"])
-                return made[value["id"]]
-            if value.get("type") == "mesh":
-                return _mesh(mi, value, key, convert)
-            value = surface.drawn(value)
-            leaves = {
-                name: _leaf(mi, name, item) if not isinstance(item, Mapping) else convert(item, f"{key}.{name}")
-                for name, item in value.items()
-                if name != "bitmap"
-            }
-            if "bitmap" not in value:
-                return leaves
-            if value["type"] != "bitmap":
-                return leaves | {"bitmap": _leaf(mi, "bitmap", value["bitmap"])}
-            pixels = value["bitmap"]
-            others = ((name, np.asarray(value[name]).tobytes()) for name in sorted(leaves))
-            known = (id(pixels), *others)
-            if known not in textures:  # of one picture in many surfaces one copy
-                made_once = mi.load_dict(leaves | {"bitmap": _leaf(mi, "bitmap", pixels)})
-                textures[known] = pixels, made_once  # the pixels are kept, so that no other array gets their id
-            return textures[known][1]
-        return value
-
-    def build(value: Any, key: str) -> Any:
-        try:
-            converted = convert(value, key)
-            return mi.load_dict(converted) if isinstance(converted, dict) else converted
-        except (RuntimeError, TypeError, ValueError) as error:
-            raise StageError(
-                f"scene part {key!r} ({value.get('type')}) is refused by the renderer: {_plain(error)}"
-            ) from error
-
-    for key, value in world.items():
-        if key == "type" or key in made:
-            continue
-        if value["type"] == "shapegroup":
-            inner = {name: build(item, f"{key}.{name}") for name, item in value.items() if name != "type"}
-            shapes.update({(key, name): item for name, item in inner.items()})
-            made[key] = (
-                build({"type": "shapegroup"}, key) if not inner else mi.load_dict({"type": "shapegroup", **inner})
-            )
-        else:
-            made[key] = build(value, key)
-            if key.startswith(("shape_", "instance_")):
-                shapes[(key,)] = made[key]
-    top.update({key: item for key, item in made.items() if not key.startswith("mat_")})
+    source, face_instances, prototypes = _joined(source, boundaries=boundaries)
+    objects = _Objects(mi, source.world)
+    objects.build_all()
+    made, shapes = objects.made, objects.shapes
+    top = {key: item for key, item in made.items() if not key.startswith("mat_")}
     backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
-    placed = None if prototypes is None else PlacedScene(shapes, world, prototypes)
+    placed = None if prototypes is None else PlacedScene(shapes, source.world, prototypes)
     if placed is not None:
-        top = {key: item for key, item in top.items() if (key,) not in shapes or "emitter" in world[key]}
+        top = {key: item for key, item in top.items() if (key,) not in shapes or "emitter" in source.world[key]}
         top["extent"] = _extent(mi, placed)
-
-    drawn = source.fog if boundaries else ()
-    media = [_medium(mi, volume.medium, volume.boundary) for volume in drawn]
-    fog_shapes = {}
-    for index, volume in enumerate(drawn):
-        sides = {"interior": media[index]} | ({} if volume.parent is None else {"exterior": media[volume.parent]})
-        fog_shapes[index] = _boundary(mi, volume.boundary, sides)
-        top[f"fog_{index}"] = fog_shapes[index]
-
-    surrounding = camera_fog(source) if drawn else None
-    if drawn and source.camera.width_m > 0.0:
+    media, fog_shapes = _fog(mi, source.fog if boundaries else ())
+    surrounding = camera_fog(source) if media else None
+    if media and source.camera.width_m > 0.0:
         _check_lens(source, surrounding)
     medium = None if surrounding is None else media[surrounding]
-    scene = mi.load_dict(top)
+    scene = mi.load_dict({"type": "scene", **top, **{f"fog_{index}": shape for index, shape in fog_shapes.items()}})
     return MitsubaScene(
         scene,
         placed or scene,
@@ -204,6 +132,105 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         face_instances,
         made,
     )
+
+
+def _joined(source: SceneDict, *, boundaries: bool) -> tuple[SceneDict, FaceInstances, Prototypes | None]:
+    """The scene with few shapes, see `flatten`, and with the lights that Mitsuba is to choose among."""
+    face_instances: FaceInstances = {}
+    prototypes = None
+    if not backend.is_scalar():  # which has no kernels to keep small
+        placing = not boundaries and not backend.is_cuda() and not source.motion_of
+        source, face_instances, prototypes = flatten(source, placing=placing)
+    world = _weighted(source)
+    if not boundaries and any(_is_light(part) and not is_sampled_light(part) for part in world.values()):
+        # Mitsuba wants one to choose
+        world = {key: _left_out(part) if is_sampled_light(part) else part for key, part in world.items()}
+    return replace(source, world=world), face_instances, prototypes
+
+
+class _Objects:
+    """Makes Mitsuba's objects of a world, each once.
+
+    Attributes:
+        made: key of the world -> its object.
+        shapes: names as in `SceneDict.instance_of` -> shape.
+    """
+
+    def __init__(self, mi: Any, world: Mapping[str, Any]) -> None:
+        self.made: dict[str, Any] = {}
+        self.shapes: dict[tuple[str, ...], Any] = {}
+        self._mi, self._world = mi, world
+        self._textures: dict[tuple[Any, ...], Any] = {}
+
+    def build_all(self) -> None:
+        """Make them all.
+
+        Raises:
+            StageError: Mitsuba refuses a part; names its key.
+        """
+        for key, value in self._world.items():
+            if key == "type" or key in self.made:
+                continue
+            if value["type"] == "shapegroup":
+                inner = {name: self._build(item, f"{key}.{name}") for name, item in value.items() if name != "type"}
+                self.shapes.update({(key, name): item for name, item in inner.items()})
+                group = {"type": "shapegroup", **inner}
+                self.made[key] = self._mi.load_dict(group) if inner else self._build(group, key)
+            else:
+                self.made[key] = self._build(value, key)
+                if key.startswith(("shape_", "instance_")):
+                    self.shapes[(key,)] = self.made[key]
+
+    def _build(self, value: Any, key: str) -> Any:
+        try:
+            converted = self._convert(value, key)
+            return self._mi.load_dict(converted) if isinstance(converted, dict) else converted
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise StageError(
+                f"scene part {key!r} ({value.get('type')}) is refused by the renderer: "
+                f"{str(error).strip().splitlines()[-1]}"
+            ) from error
+
+    def _convert(self, value: Any, key: str) -> Any:
+        if not isinstance(value, Mapping):
+            return value
+        if value.get("type") == "ref":
+            if value["id"] not in self.made:
+                self.made[value["id"]] = self._build(self._world[value["id"]], value["id"])
+            return self.made[value["id"]]
+        if value.get("type") == "mesh":
+            return _mesh(self._mi, value, key, self._convert)
+        value = surface.drawn(value)
+        leaves = {
+            name: self._convert(item, f"{key}.{name}") if isinstance(item, Mapping) else _leaf(self._mi, name, item)
+            for name, item in value.items()
+            if name != "bitmap"
+        }
+        if "bitmap" not in value:
+            return leaves
+        if value["type"] != "bitmap":
+            return leaves | {"bitmap": _leaf(self._mi, "bitmap", value["bitmap"])}
+        return self._texture(value, leaves)
+
+    def _texture(self, value: Mapping[str, Any], leaves: dict[str, Any]) -> Any:
+        """Of one picture in many surfaces one copy."""
+        pixels = value["bitmap"]
+        others = ((name, np.asarray(value[name]).tobytes()) for name in sorted(leaves))
+        known = (id(pixels), *others)
+        if known not in self._textures:
+            made = self._mi.load_dict(leaves | {"bitmap": _leaf(self._mi, "bitmap", pixels)})
+            self._textures[known] = pixels, made  # the pixels are kept, so that no other array gets their id
+        return self._textures[known][1]
+
+
+def _fog(mi: Any, fog: Sequence[FogVolume]) -> tuple[list[Any], dict[int, Any]]:
+    """Media of fogs, and the null-material shapes that hold them by index."""
+    media = [_medium(mi, volume.medium, volume.boundary) for volume in fog]
+    shapes = {}
+    for index, volume in enumerate(fog):
+        sides = {"interior": media[index]} | ({} if volume.parent is None else {"exterior": media[volume.parent]})
+        shapes[index] = _boundary(mi, volume.boundary, sides)
+    return media, shapes
 
 
 def make_bsdf(part: Mapping[str, Any]) -> Any:
