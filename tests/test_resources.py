@@ -8,7 +8,7 @@ from support.cli import run
 from synfog_usd import camera
 from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, RecipeError, SetError
-from synfog_usd.dataset.sets.definition import load_set
+from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.world.compose import load
 
 KINDS = [("recipe", load, RecipeError), ("data set", load_set, SetError), ("pipeline", camera.load_graph, GraphError)]

@@ -9,7 +9,7 @@ from synfog_usd.base import yamlio
 from synfog_usd.base.errors import GraphError, SetError
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.camera.template import sensor_template
-from synfog_usd.dataset.sets import definition
+from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.lab.benchmark import detectors
 from synfog_usd.world import compose
 
@@ -54,7 +54,7 @@ def test_a_switch_takes_each_word_for_true_and_false(word, tmp_path):
     for found in (graph, graph.with_overrides({"white_balance.clip": word})):
         assert found.nodes["white_balance"].params["clip"].value is wanted
     (tmp_path / "s.yaml").write_text(f"synfog: set/1\nextends: mini\nquality: {{samples: 4}}\nsame_noise: {word}\n")
-    read = definition.load_set(tmp_path / "s.yaml")
+    read = load_set(tmp_path / "s.yaml")
     assert read.same_noise is wanted
     (tmp_path / "a.onnx").touch()
     (tmp_path / "d.yaml").write_text(
@@ -73,7 +73,7 @@ def test_a_switch_takes_no_other_word(tmp_path):
         camera.load_graph(tmp_path / "g.yaml")
     (tmp_path / "s.yaml").write_text("synfog: set/1\nextends: mini\nsame_noise: 1\n")
     with pytest.raises(SetError, match="same_noise is 1; it takes true or false"):
-        definition.load_set(tmp_path / "s.yaml")
+        load_set(tmp_path / "s.yaml")
 
 
 @pytest.mark.parametrize("how", ["option", "file", "mixed"])

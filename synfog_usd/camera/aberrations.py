@@ -21,9 +21,9 @@ from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.graph import Auto, FromProfile, Range
-from synfog_usd.camera.optics import FOV, field_angles_rad
+from synfog_usd.camera.optics import field_angles_rad
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 
 TILES, LEAST_TILE_PX, MOST_TILE_PX = 16, 16, 128

@@ -21,8 +21,7 @@ from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import GraphError, ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.graph import Auto, FromProfile, Node, NodeGraph, Range
-from synfog_usd.camera.optics import FOV
-from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 
 Indices = npt.NDArray[np.intp]

@@ -22,9 +22,9 @@ from synfog_usd.camera import cfa, response
 from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
 from synfog_usd.camera.fisheye import of_picture
 from synfog_usd.camera.graph import Auto, FromProfile, Port, Range
-from synfog_usd.camera.optics import FOV, falloff_map
+from synfog_usd.camera.optics import falloff_map
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.registry import FOV, OPS
 
 NUMBERS = Port(Quantity.DN, "mosaic")
 MOSAIC = Port(Quantity.LINEAR_RGB, "mosaic")

@@ -20,10 +20,7 @@ from synfog_usd.base.fisheye import Fisheye
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.graph import Auto, FromProfile, Range
-from synfog_usd.camera.registry import OPS
-
-FOV = Auto(hint="say the picture's field of view: --fov DEGREES, or the camera's attributes in the EXR")
-"""A field of view that the image says, or the run."""
+from synfog_usd.camera.registry import FOV, OPS
 
 Falloff = Literal["cos4", "foote", "table", "projection", "none"]
 

@@ -20,9 +20,8 @@ from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.aberrations import Field, Numbers, filled, spread_by_place, table_fault
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.graph import Auto, FromProfile, Range
-from synfog_usd.camera.optics import FOV
 from synfog_usd.camera.profiles import SensorProfile
-from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS
 
 LEAST_PX, MOST_PX = 64, 256

@@ -12,8 +12,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.graph import Auto, Range
-from synfog_usd.camera.optics import FOV
-from synfog_usd.camera.registry import OPS
+from synfog_usd.camera.registry import FOV, OPS
 
 GREEN_NM = (380.0, 400.0, 420.0, 450.0, 500.0, 530.0, 560.0, 600.0, 650.0, 700.0, 780.0)
 GREEN_T = (0.02, 0.48, 0.70, 0.745, 0.785, 0.79, 0.785, 0.755, 0.705, 0.66, 0.58)

@@ -14,8 +14,8 @@ import typer
 from synfog_usd.cli import worker
 from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.sets import journal, offers
-from synfog_usd.dataset.sets.definition import load_set
 from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.dataset.sets.run import Outcome, make_set
 from synfog_usd.dataset.sets.work import CHILD, told
 

@@ -44,7 +44,7 @@ def asm(
     """Map where the atmospheric scattering model errs by more than the sensor's noise."""
     _can_hold(out)
     from synfog_usd.cli.progress import shown
-    from synfog_usd.dataset.sets.definition import shipped
+    from synfog_usd.dataset.sets.load import shipped
     from synfog_usd.lab.study import scattering_model
 
     if source.suffix == ".yaml" or (str(source) in shipped() and not source.exists()):

@@ -17,7 +17,7 @@ from synfog_usd.dataset import session
 from synfog_usd.dataset.bake import bake
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras, folders_of
-from synfog_usd.dataset.sets.definition import define_set
+from synfog_usd.dataset.sets.load import define_set
 from synfog_usd.dataset.sets.scenes import scene
 from synfog_usd.dataset.sets.unit import make
 from synfog_usd.translate import Exchange, exchange

@@ -31,7 +31,8 @@ from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import writers
 from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.cli.main import app
-from synfog_usd.dataset.sets import cluster, definition, index, layout
+from synfog_usd.dataset.sets import cluster, index, layout
+from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.lab.benchmark import detectors, methods
 from synfog_usd.world import compose
 
@@ -236,7 +237,7 @@ def test_yaml_loads(block, folders, monkeypatch):
     elif kind == "graph/1":
         assert camera.load_graph(path).nodes
     elif kind == "set/1":
-        assert definition.load_set(path).scenes > 0
+        assert load_set(path).scenes > 0
     elif kind == "recipe/1":
         compose.draw(compose.load(path), seed=1)
     elif kind == "benchmark/1":

@@ -14,8 +14,8 @@ from support.cli import process, run
 
 from synfog_usd.dataset.sets import cost
 from synfog_usd.dataset.sets.cost import Cost, count
-from synfog_usd.dataset.sets.definition import define_set, load_set
 from synfog_usd.dataset.sets.journal import Tally
+from synfog_usd.dataset.sets.load import define_set, load_set
 
 
 def test_the_set_of_the_paper_is_counted():
@@ -50,7 +50,7 @@ def test_the_plan_of_a_million_shots_is_quick_and_small():
     """In processor time 60 s at most, and below 1 GB, both of a process of its own; measured 6 s and 0.25 GB."""
     code = (
         "import time; from synfog_usd.dataset.sets.cost import count; "
-        "from synfog_usd.dataset.sets.definition import define_set\n"
+        "from synfog_usd.dataset.sets.load import define_set\n"
         "words = dict(recipes=['rural', 'tunnel'], splits={'train': 9, 'test': 1})\n"
         "fogs = ['clear', {'integer': [300, 900]}, {'integer': [100, 300]}, 50]\n"
         "found = count(define_set(scenes=125_000, fogs=fogs, **words))\n"

@@ -7,7 +7,7 @@ import pytest
 from support.stages import street
 
 from synfog_usd.base.errors import SynfogError
-from synfog_usd.dataset.sets.definition import define_set, load_set, shipped
+from synfog_usd.dataset.sets.load import define_set, load_set, shipped
 from synfog_usd.dataset.sets.scenes import scenes
 
 SMALL = """\

@@ -6,7 +6,7 @@ import pytest
 
 from synfog_usd.base.errors import SetError
 from synfog_usd.dataset.sets import index, offers
-from synfog_usd.dataset.sets.definition import define_set
+from synfog_usd.dataset.sets.load import define_set
 from synfog_usd.dataset.sets.scenes import scenes
 from tests.support.cli import run
 

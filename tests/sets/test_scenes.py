@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synfog_usd.dataset.sets.definition import define_set, load_set
+from synfog_usd.dataset.sets.load import define_set, load_set
 from synfog_usd.dataset.sets.scenes import even, held_out, scene, scenes
 from synfog_usd.world.compose import draw
 

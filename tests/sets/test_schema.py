@@ -8,7 +8,7 @@ import yaml
 
 from synfog_usd.base.errors import SynfogError
 from synfog_usd.dataset.sets import schema
-from synfog_usd.dataset.sets.definition import define_set, shipped
+from synfog_usd.dataset.sets.load import define_set, shipped
 
 ROOT = Path(__file__).resolve().parents[2]
 

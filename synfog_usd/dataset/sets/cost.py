@@ -26,9 +26,10 @@ from synfog_usd.base.errors import SetError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.plan import CLEAR
 from synfog_usd.dataset.sets import cluster, identity, journal, offers
-from synfog_usd.dataset.sets.definition import SetDefinition, define_set
+from synfog_usd.dataset.sets.definition import SetDefinition
 from synfog_usd.dataset.sets.journal import Tally
 from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.dataset.sets.load import define_set
 from synfog_usd.dataset.sets.scenes import PlannedScene, scenes
 from synfog_usd.dataset.sets.work import Child, Job, do, ending_children
 

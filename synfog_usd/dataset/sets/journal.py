@@ -17,7 +17,8 @@ from typing import Any
 from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError, SetError
 from synfog_usd.dataset.sets import layout
-from synfog_usd.dataset.sets.definition import SetDefinition, define_set
+from synfog_usd.dataset.sets.definition import SetDefinition
+from synfog_usd.dataset.sets.load import define_set
 
 JOURNAL, LOCK, DEFINITION = "journal.jsonl", "lock", "definition.json"
 

@@ -23,8 +23,9 @@ from synfog_usd.base.values import check_words, path_of
 from synfog_usd.dataset.job import LOG
 from synfog_usd.dataset.sets import cluster, identity, index, journal, layout, offers
 from synfog_usd.dataset.sets.cost import Cost
-from synfog_usd.dataset.sets.definition import SetDefinition, define_set, load_set
+from synfog_usd.dataset.sets.definition import SetDefinition
 from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.dataset.sets.load import define_set, load_set
 from synfog_usd.dataset.sets.scenes import PlannedScene, scenes
 from synfog_usd.dataset.sets.unit import record, rows
 from synfog_usd.dataset.sets.work import CHILD, Child, Job, do

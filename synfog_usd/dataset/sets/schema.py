@@ -14,15 +14,8 @@ from typing import Any
 from synfog_usd.base import resources
 from synfog_usd.base.numbers import BANDS, MOST_EV, QUALITIES, RGB, SAMPLES
 from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS
-from synfog_usd.dataset.sets.definition import (
-    HELD_OUT,
-    MOST_SCENES,
-    OWN_CAMERA,
-    RECIPE_LIGHTINGS,
-    SCHEMA,
-    SECTIONS,
-    shipped,
-)
+from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS
+from synfog_usd.dataset.sets.load import HELD_OUT, MOST_SCENES, OWN_CAMERA, SCHEMA, SECTIONS, shipped
 from synfog_usd.render.models import AUTO, MODELS
 from synfog_usd.world.language import FOG
 

@@ -15,13 +15,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
-
 from synfog_usd.base import files
-from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.errors import OutputError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.sets.cluster import cores
-from synfog_usd.lab.benchmark.child import read
+from synfog_usd.lab.benchmark.child import picture
 
 RESULTS = "results.json"
 KEEP_EVERY_S = 5.0
@@ -223,20 +221,6 @@ def _keep(path: Path, known: dict[str, Row], order: Sequence[str] = ()) -> None:
     ]
     lines = ",\n".join(f"{json.dumps(place)}: {json.dumps(known[place], allow_nan=False)}" for place in places)
     files.write_bytes(path, f"{{\n{lines}\n}}\n".encode())
-
-
-def picture(path: Path) -> np.ndarray:
-    """(H, W, 3) uint8.
-
-    Raises:
-        ParameterError: it cannot be read.
-    """
-    from PIL import Image
-
-    try:
-        return read(path)
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise ParameterError(f"{path}: cannot be read as a picture ({error})") from error
 
 
 @functools.lru_cache(maxsize=100_000)

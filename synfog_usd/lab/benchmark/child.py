@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.dataset.sets.cluster import cores
 from synfog_usd.lab.benchmark import decode
 from synfog_usd.lab.benchmark.classics import CLASSICS
@@ -70,12 +70,26 @@ def read(path: Path) -> np.ndarray:
         return np.asarray(image.convert("RGB"))
 
 
-def _write(path: Path, picture: np.ndarray) -> None:
+def picture(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8.
+
+    Raises:
+        ParameterError: it cannot be read.
+    """
     from PIL import Image
 
-    if not np.isfinite(picture).all():
+    try:
+        return read(path)
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise ParameterError(f"{path}: cannot be read as a picture ({error})") from error
+
+
+def _write(path: Path, pixels: np.ndarray) -> None:
+    from PIL import Image
+
+    if not np.isfinite(pixels).all():
         raise ValueError("the answer holds NaN or infinity")
-    Image.fromarray(np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
+    Image.fromarray(np.rint(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
 
 
 def _tell(path: Path, answer: Any) -> None:
@@ -92,7 +106,6 @@ def _loaded(method: Method) -> Work:
         return boxes
     if isinstance(method, Measurer):
         from synfog_usd.lab.benchmark import metrics
-        from synfog_usd.lab.benchmark.bench import picture
 
         return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
     if method.kind in ("onnx", "torch"):

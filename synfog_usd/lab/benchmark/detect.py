@@ -25,6 +25,7 @@ from synfog_usd.dataset.exports import frames, taxonomy
 from synfog_usd.dataset.exports.frames import LabelledPicture
 from synfog_usd.lab.benchmark import bench, coco, statistics
 from synfog_usd.lab.benchmark.bench import Bench, Row
+from synfog_usd.lab.benchmark.child import picture
 from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, Matched, MatchedKind, TrueBox
 from synfog_usd.lab.benchmark.detectors import Detector, as_boxes
 from synfog_usd.lab.benchmark.methods import PNG, Defogger
@@ -253,7 +254,7 @@ def _asked(view: FoggedView, one: DetectorRun, worker: DetectorRunWorker) -> Row
     if taken is None:
         return {"error": f"the picture has no {one.takes}"}
     try:
-        shape, labels = bench.picture(view.picture).shape, view.source.labels
+        shape, labels = picture(view.picture).shape, view.source.labels
         if shape[:2] != labels.distance_m.shape:
             told = f"{labels.size_px[0]} x {labels.size_px[1]}"
             return {"error": f"the picture has {shape[1]} x {shape[0]} pixels, and its labels {told}"}
