@@ -172,8 +172,8 @@ def one_camera(session: Session) -> str | None:
     """
     if len(session.cameras) > 1:
         raise StageError(
-            f"{session.plan.stage}: {', '.join(map(str, session.cameras))} are several cameras; `bake_cameras` takes "
-            f"them"
+            f"{session.plan.stage}: {session.plan.camera} means {len(session.cameras)} cameras, and one is wanted "
+            f"here; a set names each of them, as in cameras: [{', '.join(map(str, session.cameras))}]"
         )
     return session.cameras[0]
 

@@ -207,3 +207,11 @@ def test_cameras_of_a_set_are_one_rig(tmp_path):
         noise.append((noisy - plain).ravel().astype(float))
     assert min(part.std() for part in noise) > 0.5
     assert abs(np.corrcoef(*noise)[0, 1]) < 5.0 / np.sqrt(noise[0].size)
+
+
+def test_a_prim_above_a_rig_is_refused_where_one_camera_is_wanted(tmp_path):
+    """A set's unit is of one camera: the line says what a set names instead."""
+    path = rig_stage(tmp_path)
+    named = r"cameras: \[/World/Ego, /World/Rig/Right\]"
+    with pytest.raises(StageError, match=f"/World means 2 cameras, and one is wanted here; .*{named}"):
+        bake(BakePlan(path, tmp_path / "out", camera="/World", **SMALL))
