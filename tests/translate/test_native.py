@@ -9,7 +9,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 from support.cli import run
 
 from synfog_usd.base.errors import StageError
-from synfog_usd.cli import check as verb
+from synfog_usd.dataset import check as verb
 from synfog_usd.dataset.plan import BakePlan, shots
 from synfog_usd.dataset.scenes import Scenes
 from synfog_usd.render.load import make_bsdf, refusal, to_mitsuba
