@@ -350,37 +350,7 @@ def _plugin(mi: Any) -> Any:
             return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
 
         def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-            return self.inputs(si, active)[0]
-
-        def inputs(self, si: Any, active: Any) -> tuple[Any, ...]:
-            """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
-            if self.rows is not None:
-                row = dr.gather(mi.UInt32, self.row_of_face, si.prim_index, active)
-                one, two = (dr.gather(mi.Vector4f, self.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
-                colour = mi.Color3f(one.x, one.y, one.z)
-                if self.texels is not None:
-                    begin = dr.gather(mi.UInt32, self.begin_of_row, row, active)
-                    colour = self.pictured(si.uv, begin, mi.Vector2f(one.x, one.y), active)
-                return colour, one.w, two.x, two.y, two.z
-            textures = self.roughness, self.metallic, self.coat, self.coat_roughness
-            return self.base_color.eval(si, active), *(one and one.eval_1(si, active) for one in textures)
-
-        def pictured(self, uv: Any, begin: Any, size: Any, active: Any) -> Any:
-            """Colour of a picture that begins at a texel, repeats, and is linear between the middles of its texels."""
-            place = (uv - dr.floor(uv)) * size - 0.5
-            low = dr.floor(place)
-            share, high = place - low, low + 1.0
-            last, width = mi.Vector2u(size - 1.0), mi.UInt32(size.x)
-            low, high = dr.select(low < 0.0, size - 1.0, low), dr.select(high < size, high, 0.0)
-            low, high = (dr.minimum(mi.Vector2u(side), last) for side in (low, high))  # where uv are no numbers, too
-
-            def texel(x: Any, y: Any) -> Any:
-                pair = dr.gather(mi.Vector2u, self.texels, begin + y * width + x, active)
-                roots = mi.Color3f(mi.Float(pair.x & 0xFFFF), mi.Float(pair.x >> 16), mi.Float(pair.y)) / _FULL
-                return roots * roots
-
-            upper, lower = (dr.lerp(texel(low.x, y), texel(high.x, y), share.x) for y in (low.y, high.y))
-            return dr.lerp(upper, lower, share.y)
+            return _inputs(self, si, active)[0]
 
         def _sampled(self, parts: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
             wo = parts.drawn(sample1, sample2)
@@ -400,108 +370,147 @@ def _plugin(mi: Any) -> Any:
         def to_string(self) -> str:
             return f"PreviewSurface[{self.base_color}]"
 
-    class _Response:
-        """What a surface does to light that goes to `si.wi`, mirrored to the upper side; with lobes as wide as
-        `seen_from` and `lit_from` have them, that reflect as much in all as they would else.
-        """
-
-        def __init__(self, bsdf: PreviewSurface, si: Any, active: Any) -> None:
-            normal = si.to_local(si.n)
-            self.below = dr.dot(si.wi, normal) * normal.z < 0.0
-            self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-            self.base, roughness, metal, coat, coat_roughness = bsdf.inputs(si, active)
-            self.matt = bsdf.roughness is None
-            if self.matt:
-                return
-            self.eta, self.table = bsdf.eta, bsdf.table
-            self.blur = si.duv_dx.x
-            self.alpha, albedo, self.kept = self.lobe(roughness)
-            self.specular, reflects = None, mi.Color3f(albedo.z)
-            if bsdf.specular is not None:
-                self.specular = mi.Color3f(bsdf.specular.eval(si, active))
-                reflects = self.specular * albedo.x + albedo.y
-            self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
-            lobes = reflects.x if bsdf.specular is None else backend.channel_mean(reflects)
-            for_lamps = si.duv_dy.x  # 1 where `for_lamps` was here, 0 elsewhere
-            under = (1.0 - lobes) * MATTE * (1.0 - for_lamps)
-            if bsdf.metallic is not None:
-                self.metal = metal
-                self.gloss = 1.0 - self.metal
-                self.matte *= self.gloss
-                lobes = lobes * self.gloss + self.metal * (albedo.x + albedo.y)
-                under *= self.gloss
-            self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
-            if bsdf.coat is not None:
-                self.coat = coat
-                self.coat_alpha, coated, self.coat_kept = self.lobe(coat_roughness)
-                reflected = self.coat * coated.z
-                self.left = 1.0 - reflected
-                often = reflected * (1.0 + (COAT - 1.0) * for_lamps)
-                self.chance_coat = often / dr.maximum(often + self.left * (under + lobes), 1e-8)
-
-        def lobe(self, roughness: Any) -> tuple[Any, Any, tuple[Any, Any]]:
-            """Width of a lobe, the shares of `lobe_albedo`, and what it reflects over what it would at this width: as
-            metal and as a dielectric.
-            """
-            albedo, alpha = self.albedo(roughness), dr.maximum(roughness * roughness, MIN_ALPHA)
-            wide = dr.sqrt(alpha * alpha + self.blur * self.blur)
-            all_of_it = self.albedo(dr.sqrt(wide))
-            pairs = (albedo.x + albedo.y, all_of_it.x + all_of_it.y), (albedo.z, all_of_it.z)
-            metal, dielectric = (dr.select(self.blur > 0.0, one / dr.maximum(other, 1e-6), 1.0) for one, other in pairs)
-            return wide, albedo, (metal, dielectric)
-
-        def albedo(self, roughness: Any) -> Any:
-            """`lobe_albedo` of the surface's index, for light to the eye."""
-            x = dr.clip(dr.sqrt(self.wi.z), 0.0, 1.0) * (NODES - 1)
-            y = dr.clip(roughness, 0.0, 1.0) * (NODES - 1)
-            row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
-            begin, x, y = row * NODES + column, x - mi.Float(row), y - mi.Float(column)
-            near, next_ = (
-                dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
-            )
-            return dr.lerp(near, next_, x)
-
-        def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
-            """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""
-            wi, wo = self.wi, mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
-            good = active & (wi.z > 0.0) & (wo.z > 0.0)
-            matte = dr.maximum(wo.z, 0.0) * dr.inv_pi
-            if self.matt:
-                return dr.select(good, self.base * matte, 0.0), dr.select(good, matte, 0.0)
-            h = dr.normalize(wi + wo)
-            dielectric = mi.fresnel(dr.dot(wi, h), self.eta)[0]
-            tint = mi.Color3f(dielectric * self.kept[1])
-            if self.specular is not None:
-                grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
-                tint = (self.specular + (1.0 - self.specular) * grazing) * self.kept[0]
-            gloss, density = _ggx(wi, wo, h, self.alpha)
-            value = tint * (gloss * self.gloss) + self.matte * self.base * matte
-            if self.metal is not None:
-                value += self.metal * self.base * (gloss * self.kept[0])
-            pdf = dr.lerp(density, matte, self.chance_matte)
-            if self.coat is not None:
-                shine, sharp = _ggx(wi, wo, h, self.coat_alpha)
-                value = value * self.left + self.coat * (dielectric * shine * self.coat_kept[1])
-                pdf = dr.lerp(pdf, sharp, self.chance_coat)
-            return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
-
-        def drawn(self, sample1: Any, sample2: Any) -> Any:
-            """A direction by the matte part or by one of the lobes."""
-            wo = mi.warp.square_to_cosine_hemisphere(sample2)
-            if not self.matt:
-                wo = dr.select(*self.mirrored(sample1, sample2), wo)
-            return mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
-
-        def mirrored(self, sample1: Any, sample2: Any) -> tuple[Any, Any]:
-            """Whether a lobe was chosen, and the direction that it sends."""
-            alpha, coated = self.alpha, False
-            if self.coat is not None:
-                coated = sample1 < self.chance_coat
-                alpha = dr.select(coated, self.coat_alpha, alpha)
-                sample1 = (sample1 - self.chance_coat) / dr.maximum(1.0 - self.chance_coat, 1e-8)
-            return coated | (sample1 >= self.chance_matte), _mirrored(self.wi, alpha, sample2)
-
     return PreviewSurface
+
+
+def _inputs(bsdf: Any, si: Any, active: Any) -> tuple[Any, ...]:
+    """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
+    mi = backend.mitsuba()
+    if bsdf.rows is not None:
+        row = dr.gather(mi.UInt32, bsdf.row_of_face, si.prim_index, active)
+        one, two = (dr.gather(mi.Vector4f, bsdf.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
+        colour = mi.Color3f(one.x, one.y, one.z)
+        if bsdf.texels is not None:
+            begin = dr.gather(mi.UInt32, bsdf.begin_of_row, row, active)
+            colour = _pictured(bsdf.texels, si.uv, begin, mi.Vector2f(one.x, one.y), active)
+        return colour, one.w, two.x, two.y, two.z
+    textures = bsdf.roughness, bsdf.metallic, bsdf.coat, bsdf.coat_roughness
+    return bsdf.base_color.eval(si, active), *(one and one.eval_1(si, active) for one in textures)
+
+
+def _pictured(texels: Any, uv: Any, begin: Any, size: Any, active: Any) -> Any:
+    """Colour of a picture that begins at a texel, repeats, and is linear between the middles of its texels."""
+    mi = backend.mitsuba()
+    place = (uv - dr.floor(uv)) * size - 0.5
+    low = dr.floor(place)
+    share, high = place - low, low + 1.0
+    last, width = mi.Vector2u(size - 1.0), mi.UInt32(size.x)
+    low, high = dr.select(low < 0.0, size - 1.0, low), dr.select(high < size, high, 0.0)
+    low, high = (dr.minimum(mi.Vector2u(side), last) for side in (low, high))  # where uv are no numbers, too
+
+    def texel(x: Any, y: Any) -> Any:
+        pair = dr.gather(mi.Vector2u, texels, begin + y * width + x, active)
+        roots = mi.Color3f(mi.Float(pair.x & 0xFFFF), mi.Float(pair.x >> 16), mi.Float(pair.y)) / _FULL
+        return roots * roots
+
+    upper, lower = (dr.lerp(texel(low.x, y), texel(high.x, y), share.x) for y in (low.y, high.y))
+    return dr.lerp(upper, lower, share.y)
+
+
+class _Response:
+    """What a surface does to light that goes to `si.wi`, mirrored to the upper side; with lobes as wide as
+    `seen_from` and `lit_from` have them, that reflect as much in all as they would else.
+    """
+
+    def __init__(self, bsdf: Any, si: Any, active: Any) -> None:
+        mi = backend.mitsuba()
+        normal = si.to_local(si.n)
+        self.below = dr.dot(si.wi, normal) * normal.z < 0.0
+        self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        self.base, roughness, metal, coat, coat_roughness = _inputs(bsdf, si, active)
+        self.matt = bsdf.roughness is None
+        if self.matt:
+            return
+        self.eta, self.table = bsdf.eta, bsdf.table
+        self.blur = si.duv_dx.x
+        self.alpha, albedo, self.kept = self.lobe(roughness)
+        self.specular, reflects = None, mi.Color3f(albedo.z)
+        if bsdf.specular is not None:
+            self.specular = mi.Color3f(bsdf.specular.eval(si, active))
+            reflects = self.specular * albedo.x + albedo.y
+        self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
+        lobes = reflects.x if bsdf.specular is None else backend.channel_mean(reflects)
+        for_lamps = si.duv_dy.x  # 1 where `for_lamps` was here, 0 elsewhere
+        under = (1.0 - lobes) * MATTE * (1.0 - for_lamps)
+        if bsdf.metallic is not None:
+            self.metal = metal
+            self.gloss = 1.0 - self.metal
+            self.matte *= self.gloss
+            lobes = lobes * self.gloss + self.metal * (albedo.x + albedo.y)
+            under *= self.gloss
+        self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
+        if bsdf.coat is not None:
+            self.coat = coat
+            self.coat_alpha, coated, self.coat_kept = self.lobe(coat_roughness)
+            reflected = self.coat * coated.z
+            self.left = 1.0 - reflected
+            often = reflected * (1.0 + (COAT - 1.0) * for_lamps)
+            self.chance_coat = often / dr.maximum(often + self.left * (under + lobes), 1e-8)
+
+    def lobe(self, roughness: Any) -> tuple[Any, Any, tuple[Any, Any]]:
+        """Width of a lobe, the shares of `lobe_albedo`, and what it reflects over what it would at this width: as
+        metal and as a dielectric.
+        """
+        albedo, alpha = self.albedo(roughness), dr.maximum(roughness * roughness, MIN_ALPHA)
+        wide = dr.sqrt(alpha * alpha + self.blur * self.blur)
+        all_of_it = self.albedo(dr.sqrt(wide))
+        pairs = (albedo.x + albedo.y, all_of_it.x + all_of_it.y), (albedo.z, all_of_it.z)
+        metal, dielectric = (dr.select(self.blur > 0.0, one / dr.maximum(other, 1e-6), 1.0) for one, other in pairs)
+        return wide, albedo, (metal, dielectric)
+
+    def albedo(self, roughness: Any) -> Any:
+        """`lobe_albedo` of the surface's index, for light to the eye."""
+        mi = backend.mitsuba()
+        x = dr.clip(dr.sqrt(self.wi.z), 0.0, 1.0) * (NODES - 1)
+        y = dr.clip(roughness, 0.0, 1.0) * (NODES - 1)
+        row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
+        begin, x, y = row * NODES + column, x - mi.Float(row), y - mi.Float(column)
+        near, next_ = (
+            dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
+        )
+        return dr.lerp(near, next_, x)
+
+    def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
+        """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""
+        mi = backend.mitsuba()
+        wi, wo = self.wi, mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
+        good = active & (wi.z > 0.0) & (wo.z > 0.0)
+        matte = dr.maximum(wo.z, 0.0) * dr.inv_pi
+        if self.matt:
+            return dr.select(good, self.base * matte, 0.0), dr.select(good, matte, 0.0)
+        h = dr.normalize(wi + wo)
+        dielectric = mi.fresnel(dr.dot(wi, h), self.eta)[0]
+        tint = mi.Color3f(dielectric * self.kept[1])
+        if self.specular is not None:
+            grazing = dr.power(dr.maximum(1.0 - dr.dot(wi, h), 0.0), 5)
+            tint = (self.specular + (1.0 - self.specular) * grazing) * self.kept[0]
+        gloss, density = _ggx(wi, wo, h, self.alpha)
+        value = tint * (gloss * self.gloss) + self.matte * self.base * matte
+        if self.metal is not None:
+            value += self.metal * self.base * (gloss * self.kept[0])
+        pdf = dr.lerp(density, matte, self.chance_matte)
+        if self.coat is not None:
+            shine, sharp = _ggx(wi, wo, h, self.coat_alpha)
+            value = value * self.left + self.coat * (dielectric * shine * self.coat_kept[1])
+            pdf = dr.lerp(pdf, sharp, self.chance_coat)
+        return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
+
+    def drawn(self, sample1: Any, sample2: Any) -> Any:
+        """A direction by the matte part or by one of the lobes."""
+        mi = backend.mitsuba()
+        wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        if not self.matt:
+            wo = dr.select(*self.mirrored(sample1, sample2), wo)
+        return mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
+
+    def mirrored(self, sample1: Any, sample2: Any) -> tuple[Any, Any]:
+        """Whether a lobe was chosen, and the direction that it sends."""
+        alpha, coated = self.alpha, False
+        if self.coat is not None:
+            coated = sample1 < self.chance_coat
+            alpha = dr.select(coated, self.coat_alpha, alpha)
+            sample1 = (sample1 - self.chance_coat) / dr.maximum(1.0 - self.chance_coat, 1e-8)
+        return coated | (sample1 >= self.chance_matte), _mirrored(self.wi, alpha, sample2)
 
 
 def _ggx(wi: Any, wo: Any, h: Any, alpha: Any) -> tuple[Any, Any]:
