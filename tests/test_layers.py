@@ -39,7 +39,7 @@ HEAVY = {
     "torch": {"lab/study", "lab/benchmark"},
     "pyoidn": {"render"},
     "tifffile": {"camera/writers"},
-    "imagecodecs": {"camera/writers", "stage/crate.py"},
+    "imagecodecs": {"camera/writers"},
     "rawpy": {"camera/writers"},
     "colour_demosaicing": {"camera"},
     "pyarrow": {"dataset/sets"},

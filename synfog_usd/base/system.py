@@ -44,6 +44,14 @@ open.
 READ_WALL_S = 3600
 """Wall time for the same, against a file system that does not answer."""
 
+READ_BYTES = 2_700_000_000
+"""Memory for the same, beside what is granted for the sizes of files, see `allow`: a damaged file of 2 kB may ask for
+any amount.
+"""
+
+PER_BYTE = 32
+"""Memory that is granted for each byte of a layer or model."""
+
 OVER_CPU, OVER_WALL = -0x1FFFFFFF, -0x1FFFFFFE
 """Codes with which a watcher ends its process: NTSTATUS of severity error, made by a customer."""
 
@@ -155,12 +163,56 @@ def _looks_for(parent: int) -> None:
         time.sleep(LOOK_EVERY_S)
 
 
+class _Memory:
+    """Writable memory that this process may come to while it reads (Linux); what is only reserved does not count."""
+
+    def __init__(self) -> None:
+        self.granted = 0
+        self.held: int | None = None
+
+    @contextlib.contextmanager
+    def bounded(self) -> Iterator[None]:
+        import resource
+
+        if sys.platform != "linux":
+            yield
+            return
+        before = resource.getrlimit(resource.RLIMIT_DATA)
+        self.held = resource.getpagesize() * int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
+        try:
+            self.grant(0)
+            yield
+        finally:
+            self.held = None
+            resource.setrlimit(resource.RLIMIT_DATA, before)
+
+    def grant(self, size: int) -> None:
+        self.granted += size
+        if self.held is None:
+            return
+        import resource
+
+        machine = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize()
+        most = self.held + min(machine, READ_BYTES + self.granted)
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+_MEMORY = _Memory()
+
+
+def allow(size: int) -> None:
+    """Grant this process so many bytes more within `limits`, for what a file of known size honestly takes."""
+    _MEMORY.grant(size)
+
+
 @contextlib.contextmanager
 def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
-    """Within it this process has the memory of this machine and bounded time; afterwards as before.
+    """Within it this process has bounded memory and time; afterwards as before.
 
-    Beyond them it dies, of a signal or of OVER_CPU or OVER_WALL, or raises MemoryError.  Windows has no
-    bound for memory but that of the system; macOS does not keep its own.
+    Memory is what it had, `READ_BYTES` and what `allow` grants, within that of this machine.  Beyond the limits it
+    dies, of a signal or of OVER_CPU or OVER_WALL, or raises MemoryError.  Windows and macOS have no bound for memory
+    but that of the system.
 
     Args:
         cpu_s: processor time from now [s].
@@ -176,7 +228,6 @@ def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
     wanted = [
         (resource.RLIMIT_CPU, int(spent.ru_utime + spent.ru_stime + cpu_s)),
         (resource.RLIMIT_CORE, 0),
-        *([(resource.RLIMIT_AS, memory)] if (memory := _memory()) else []),
     ]
     before = {}
     for kind, most in wanted:
@@ -186,7 +237,8 @@ def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
             resource.setrlimit(kind, (min(lower), hard))
     signal.alarm(int(wall_s))
     try:
-        yield
+        with _MEMORY.bounded():
+            yield
     finally:
         signal.alarm(0)
         for kind, numbers in before.items():
@@ -254,20 +306,6 @@ def _free_in_container(folder: Path) -> int:
     most, used = (int((folder / f"memory.{what}").read_text(encoding="ascii")) for what in ("max", "current"))
     rows = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
     return max(most - used + sum(int(rows.get(name, 0)) for name in ("active_file", "inactive_file")), 0)
-
-
-def _memory() -> int:
-    """Bytes of address space that this process may come to: all memory, and what is only reserved by now (some 1.5 GB
-    for libraries and threads' stacks); 0 where the system does not say.
-    """
-    try:
-        page = os.sysconf("SC_PAGE_SIZE")
-        memory = os.sysconf("SC_PHYS_PAGES") * page
-    except (AttributeError, ValueError, OSError):
-        return 0
-    with contextlib.suppress(OSError):
-        memory += int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * page
-    return max(0, memory)
 
 
 @contextlib.contextmanager

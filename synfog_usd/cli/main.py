@@ -716,11 +716,13 @@ def asset_import(
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
+    from synfog_usd.base import system
     from synfog_usd.base.fence import LAYERS
     from synfog_usd.stage import open_stage
     from synfog_usd.world.importer import import_asset
 
     with worker.reading_limits():
+        system.allow(system.PER_BYTE * file.stat().st_size if file.is_file() else 0)
         if file.suffix.lower() in LAYERS:
             open_stage(file, whole=True)  # counted, and with no file from elsewhere, before the importer unfolds it
         made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)

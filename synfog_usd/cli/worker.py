@@ -135,11 +135,13 @@ def unheard() -> Iterator[None]:
     except OSError:  # it is closed: nobody hears anyway
         yield
         return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    nowhere, hook = os.open(os.devnull, os.O_WRONLY), sys.excepthook
     os.dup2(nowhere, 2)
+    sys.excepthook = lambda *error: None  # USD prints an error of Python's by it, and goes on
     try:
         yield
     finally:
+        sys.excepthook = hook
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
@@ -147,8 +149,8 @@ def unheard() -> Iterator[None]:
 
 @contextlib.contextmanager
 def reading_limits() -> Iterator[None]:
-    """In the child, while a stage is read or translated: memory of this machine, and bounded time; as before
-    afterwards, because rendering may take long.
+    """In the child, while a stage is read or translated: bounded memory and time; as before afterwards, because
+    rendering may take long.
 
     Beyond them the process dies or raises MemoryError, and the parent says so.
     """

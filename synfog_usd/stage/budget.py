@@ -63,16 +63,9 @@ for 16 000.
 MAX_TRIANGLES = 100_000_000
 """Triangles to store, instances not counted: some 10 GB in memory."""
 
-MAX_PACKED = 20_000_000
-"""Numbers to which the packed arrays of a binary layer may unpack, and `PACKED_PER_BYTE` more for each of its bytes: a
-mesh with points of its own has less than two.  They unpack four thousand to one.
-"""
-
-PACKED_PER_BYTE = 20
-
-MAX_BRACES = 10_000
-"""Levels of braces, brackets and parentheses in a text file; USD's parser calls itself for each and runs out of stack
-between 20 000 and 100 000.
+FEW_TRIANGLES, PER_POINT = 1_000_000, 20
+"""Triangles of a mesh beyond these need a point for each `PER_POINT`: a closed surface has two for each, and equal
+numbers in a small file unfold to any amount.
 """
 
 MAX_SCHEMAS = 1000
@@ -210,9 +203,18 @@ class _Counter:
             return
         many = len(counts) > MAX_TRIANGLES  # not counted by face: their number is enough
         triangles = len(counts) if many else int(np.maximum(np.asarray(counts, dtype=np.int64) - 2, 0).sum())
+        if triangles > FEW_TRIANGLES + PER_POINT * (points := _points_of(prim)):
+            raise StageError(
+                f"{prim.GetPath()}: {amount(triangles)} triangles of {amount(points)} points; the file is damaged: "
+                f"export it again"
+            )
         self.triangles += triangles
         if triangles > self.heaviest[1]:
             self.heaviest = (str(prim.GetPath()), triangles)
+
+
+def _points_of(prim: Usd.Prim) -> int:
+    return len(UsdGeom.Mesh(prim).GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ())
 
 
 def amount(number: int) -> str:

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pxr import Ar, Sdf, Tf
 
+from synfog_usd.base import system
 from synfog_usd.base.errors import StageError
 from synfog_usd.base.fence import LAYERS, Fence
 from synfog_usd.stage import budget, materialx
-from synfog_usd.stage.crate import array_sizes, faults_of_paths, impossible_lengths, table_sizes
 
 _MATTER = frozenset({"references", "payload", "inheritPaths", "specializes", "instanceable", "clips", "apiSchemas"})
 """Fields of a prim that decide how much it unfolds to."""
@@ -142,11 +141,9 @@ class _Survey:
         if resolved not in self.open:
             if len(self.open) >= budget.MAX_LAYERS:
                 raise StageError(f"{who}: more than {budget.MAX_LAYERS} layers; merge some")
-            if outer == resolved:
-                _check_braces(Path(resolved))
             if outer not in self.counted_files:
                 self.counted_files.add(outer)
-                _check_arrays(Path(outer))
+                system.allow(system.PER_BYTE * Path(outer).stat().st_size)
             layer = Sdf.Layer.FindOrOpen(resolved)
             if layer is None:
                 return None
@@ -234,10 +231,6 @@ class _Survey:
             if spec is None and layer.GetObjectAtPath(path) is None:  # listing the stage's files would end the process
                 raise StageError(f"{name}: {path} is named and not there; the file is damaged: export it again")
             if path.IsPrimPath():
-                if path.pathElementCount > budget.MAX_DEPTH:
-                    raise StageError(
-                        f"{str(path)[:60]}…: prims nested deeper than {budget.MAX_DEPTH} levels; flatten the hierarchy"
-                    )
                 prims.append(str(path))
             keys = spec.ListInfoKeys() if spec is not None else ()
             if _MATTER.isdisjoint(keys):
@@ -364,60 +357,6 @@ def _ranges(paths: list[str], root: str, made: Any) -> list[Any]:
     for mark in ("/", "{"):
         bounds.append((bisect_left(paths, root + mark), bisect_left(paths, root + chr(ord(mark) + 1))))
     return [made(first, last) for first, last in bounds if last > first]
-
-
-_STEP = np.zeros(256, np.int8)
-_STEP[list(b"{[(")], _STEP[list(b"}])")] = 1, -1
-
-
-def _check_braces(path: Path) -> None:
-    """Refuse a text layer whose braces, brackets and parentheses nest too deeply to be parsed; those within strings
-    count too.
-
-    Raises:
-        StageError: with the file.
-    """
-    level = 0
-    with path.open("rb") as file:
-        if file.read(5) != b"#usda":
-            return
-        while block := file.read(1 << 24):
-            steps = _STEP[np.frombuffer(block, np.uint8)]
-            steps = steps[steps != 0]
-            if len(steps):
-                levels = level + np.cumsum(steps, dtype=np.int64)
-                if int(levels.max()) > budget.MAX_BRACES:
-                    raise StageError(
-                        f"{path}: braces nested deeper than {budget.MAX_BRACES} levels; flatten the hierarchy"
-                    )
-                level = int(levels[-1])
-
-
-def _check_arrays(path: Path) -> None:
-    """Refuse a binary layer whose arrays unpack to far more than its size has reason for, whose tables or lists say so,
-    or whose paths are no tree.
-
-    Raises:
-        StageError: with the file, its size and the limit.
-    """
-    most = budget.MAX_PACKED + budget.PACKED_PER_BYTE * path.stat().st_size
-    if (rows := sum(table_sizes(path))) > most:
-        raise StageError(
-            f"{path}: {path.stat().st_size} bytes that say they hold {budget.amount(rows)} rows of names and values; "
-            f"the file is damaged: export it again"
-        )
-    for fault in faults_of_paths(path):
-        raise StageError(f"{path}: its table of paths {fault}; the file is damaged: export it again")
-    for length in impossible_lengths(path):
-        raise StageError(
-            f"{path}: {path.stat().st_size} bytes with a list that says it has {budget.amount(length)} elements; the "
-            f"file is damaged: export it again"
-        )
-    if (many := sum(array_sizes(path))) > most:
-        raise StageError(
-            f"{path}: {path.stat().st_size} bytes whose arrays unpack to {budget.amount(many)} numbers; at most "
-            f"{budget.amount(most)} are read of a file of this size"
-        )
 
 
 @contextlib.contextmanager

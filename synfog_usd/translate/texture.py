@@ -19,6 +19,7 @@ import numpy.typing as npt
 import OpenImageIO
 from pxr import Ar, Gf, Usd, UsdShade
 
+from synfog_usd.base import system
 from synfog_usd.base.arrays import Pixels
 from synfog_usd.base.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
 from synfog_usd.base.errors import StageError
@@ -263,7 +264,9 @@ class ImageReader:
             )
             return None
         eight_bit = spec.format == OpenImageIO.TypeUInt8
-        self._bytes += spec.width * spec.height * min(spec.nchannels, 4) * (1 if eight_bit else 4)
+        size = spec.width * spec.height * min(spec.nchannels, 4) * (1 if eight_bit else 4)
+        self._bytes += size
+        system.allow(4 * size)  # it is decoded, and may be converted
         if self._bytes > MAX_BYTES:
             image.close()
             raise StageError(
