@@ -21,11 +21,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 from support import cli, crates
 from support.hostile import png
 from support.memory import at_peak
-from synfog_usd.cli.check import look
 
 from synfog_usd.base import system
 from synfog_usd.base.errors import StageError
 from synfog_usd.base.fence import Fence
+from synfog_usd.dataset.check import look
 from synfog_usd.scene import MANY_LIT
 from synfog_usd.stage import budget, check, open_stage, survey
 from synfog_usd.translate import translate
