@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from support.cli import process
 from support.stages import street
 
@@ -85,6 +86,14 @@ def test_the_function_stays_where_a_package_has_its_name():
     """Python puts `synfog_usd.render` beside the door's names when it is imported."""
     words = "import synfog_usd as sf, synfog_usd.render.backend, synfog_usd.fog; assert callable(sf.render), sf.render"
     subprocess.run([sys.executable, "-W", "error", "-c", words], check=True)
+
+
+def test_a_citation_is_of_this_version():
+    """CITATION.cff has the version of the package, and the licence of pyproject.toml."""
+    root = Path(__file__).resolve().parents[1]
+    cited = yaml.safe_load((root / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == sf.__version__
+    assert f'license = "{cited["license"]}"' in (root / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def test_other_names_are_not_there():

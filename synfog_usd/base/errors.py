@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 
 class SynfogError(Exception):
-    """Base of every error that a user can cause and mend."""
+    """What a user can cause and mend: where, what was found, what is allowed, and the likely fix."""
 
     exit_code = 2
 

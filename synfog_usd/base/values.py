@@ -76,3 +76,10 @@ def word(value: Any, option: str) -> str:
 def seconds(value: Any, option: str) -> float:
     """Seconds, as a number or as 1/200."""
     return numbers.seconds_of(value, option) if isinstance(value, str) else number(value, option)
+
+
+def switch(value: Any, option: str) -> bool:
+    """True or False."""
+    if not isinstance(value, bool):
+        raise ParameterError(f"{option} {value!r}: it takes True or False")
+    return value

@@ -436,7 +436,7 @@ def compose(
 
     from synfog_usd.world.compose import compose as draw
 
-    spec = draw(recipe, out, seed=seed, changes=change or [])
+    spec = draw(recipe, out, seed=seed, change=change or [])
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return

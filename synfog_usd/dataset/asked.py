@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.base.values import check_words, count, names, number, path_of, seconds, word
+from synfog_usd.base.values import check_words, count, names, number, path_of, seconds, switch, word
 from synfog_usd.dataset.plan import BakePlan
 
 if TYPE_CHECKING:
@@ -66,12 +66,6 @@ def _fog_name(value: Any, option: str) -> tuple[str, ...]:
     return (Fog(metres).name,)
 
 
-def _switch(value: Any, option: str) -> bool:
-    if not isinstance(value, bool):
-        raise ParameterError(f"{option} {value!r}: it takes True or False")
-    return value
-
-
 def _size(value: Any, option: str) -> tuple[int, int] | None:
     if isinstance(value, (list, tuple)) and len(value) == 2:
         value = "x".join(str(count(side, option)) for side in value)
@@ -117,11 +111,11 @@ OPTIONS: dict[str, Reader] = {
     "target_error": number,
     "bands": count,
     "seed": count,
-    "same_noise": _switch,
+    "same_noise": switch,
     "variant": word,
     "allow": _folders,
-    "strict": _switch,
-    "draft": _switch,
+    "strict": switch,
+    "draft": switch,
 }
 """Option -> what reads it."""
 

@@ -54,7 +54,7 @@ class Baked:
     """What a bake leaves behind and how long it took.
 
     Attributes:
-        manifest: what `bake.json` holds; of a `job` also what `rig.json` or `sequence.json` does.
+        manifest: what `bake.json` holds; of several cameras `rig.json`, of frames `sequence.json`.
         seconds: wall time of each shot that was rendered now, by folder.
         kept: folders of shots that were finished already.
         notes: what the translation left out or made simpler.

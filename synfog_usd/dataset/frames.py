@@ -181,8 +181,7 @@ def load(
     """One lighting, fog and camera of a stage, ready to render.
 
     The stage is read in this process, within the fence of its folder and the limits on its size. Limits on memory and
-    time, and a death of the USD library that is only a line, are the command line's: give it files that you do not
-    trust.
+    time are the command line's, whose child process reads it.
 
     Args:
         stage: USD file.

@@ -76,7 +76,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
         for index, seed in enumerate(plan.seeds):
             recipe = plan.recipes[index % len(plan.recipes)]
             stage, folder = Path(made) / "stage.usda", Path(made) / f"{index}"
-            compose(recipe, stage, seed=seed, changes=plan.changes)
+            compose(recipe, stage, seed=seed, change=plan.changes)
 
             def told(what: str, fraction: float, index: int = index, seed: int = seed) -> None:
                 progress(f"seed {seed}: {what}", (index + fraction) / len(plan.seeds))

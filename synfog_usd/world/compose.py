@@ -52,7 +52,7 @@ def compose(
     path: str | os.PathLike[str],
     *,
     seed: int = 0,
-    changes: Mapping[str, Any] | Sequence[str] = (),
+    change: Mapping[str, Any] | Sequence[str] = (),
 ) -> WorldSpec:
     """Draw a world and write it as a stage: the file, and a layer for each department beside it.
 
@@ -63,7 +63,7 @@ def compose(
         recipe: a name of `recipes`, or a YAML file.
         path: the stage, .usda, .usdc or .usd.
         seed: the same gives the same bytes in the same place.
-        changes: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
+        change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
 
     Returns:
         what was drawn, all numbers.
@@ -72,11 +72,11 @@ def compose(
         SynfogError: with its place; or the stage cannot be written.
     """
     out, seed = values.path_of(path, "-o"), values.count(seed, "--seed")
-    if isinstance(changes, Mapping):
-        changes = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+    if isinstance(change, Mapping):
+        change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    spec = draw(load(values.path_of(recipe, "recipe"), changes), seed=seed)
+    spec = draw(load(values.path_of(recipe, "recipe"), change), seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
     write_layers(out, lambda place: stage.author(place, spec, assets=assets))
     return spec

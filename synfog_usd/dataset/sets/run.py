@@ -12,14 +12,14 @@ import queue
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import OutputError, ParameterError, SetError
 from synfog_usd.base.progress import Progress, silent
-from synfog_usd.base.values import check_words, path_of
+from synfog_usd.base.values import check_words, count, number, path_of, switch, word
 from synfog_usd.dataset.job import LOG
 from synfog_usd.dataset.sets import cluster, identity, index, journal, layout, offers
 from synfog_usd.dataset.sets.cost import Cost
@@ -112,6 +112,19 @@ def numbers_of(text: str, count: int) -> tuple[int, ...]:
     return tuple(found)
 
 
+OPTIONS: dict[str, Callable[[Any, str], Any]] = {
+    "workers": count,
+    "scheduler": word,
+    "batch": path_of,
+    "budget_gb": number,
+    "repair": switch,
+    "retry": switch,
+    "limit_s": number,
+    "variant": word,
+}
+"""Attribute of `RunPlan` -> what reads it."""
+
+
 def make_set(
     what: str | os.PathLike[str] | Mapping[str, Any] | None,
     out: str | os.PathLike[str],
@@ -133,7 +146,9 @@ def make_set(
         only: scenes by number, as '17,40-60'.
         progress: called with how far it is and the fraction that is done.
         log: called with lines that tell what goes on.
-        options: workers, scheduler, batch, budget_gb, repair, retry, limit_s, variant, as `RunPlan` has them.
+        options: workers (units at a time), scheduler (address of a Dask scheduler), batch (YAML of a batch system),
+            budget_gb (size at which no more is begun), repair (look at every file, make changed ones again), retry
+            (take up what was set aside), limit_s (seconds of a unit), variant (of the renderer).
 
     Returns:
         `made`, `kept` (numbers of units), `aside` (units that failed three times), `stopped` (why it ended before all
@@ -142,7 +157,8 @@ def make_set(
     Raises:
         SynfogError: with place and fix; finished units stay.
     """
-    check_words(options, {field.name: field for field in fields(RunPlan) if field.name not in ("out", "child", "only")})
+    check_words(options, OPTIONS)
+    options = {word: OPTIONS[word](value, word) for word, value in options.items() if value is not None}
     folder = path_of(out, "--out")
     if what is None:
         found = journal.kept_definition(folder)
