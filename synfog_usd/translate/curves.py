@@ -122,12 +122,16 @@ def read_curves(
 
 
 def _widths(prim: Usd.Prim, time: Usd.TimeCode, interpolation: str) -> tuple[Array | None, str]:
-    """(K, 1) widths and their interpolation: primvars:widths before widths, as UsdGeom has it."""
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
-    found = flattened(primvar, time)
+    """(K, 1) widths and their interpolation: primvars:widths before widths, as UsdGeom has it, and where neither is
+    there, a constant primvar from above.
+    """
+    api = UsdGeom.PrimvarsAPI(prim)
+    own = array_at(prim, "widths", time, 1)
+    primvar = api.GetPrimvar("widths") if own is not None else api.FindPrimvarWithInheritance("widths")
+    found = flattened(primvar, time) if primvar else None
     if isinstance(found, np.ndarray) and found.shape[1] == 1:
         return found, str(primvar.GetInterpolation())
-    return array_at(prim, "widths", time, 1), interpolation
+    return own, interpolation
 
 
 def _curve_colors(

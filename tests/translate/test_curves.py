@@ -300,3 +300,21 @@ def test_widths_as_a_primvar_come_first(empty, only_shape, kind):
     right = shape["positions"][:, 0] > 1.5
     extents = [np.ptp(shape["positions"][side][:, 2]) for side in (~right, right)]
     assert extents[1] / extents[0] == pytest.approx(2.0, rel=1e-5) and extents[0] == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["BasisCurves", "Points"])
+@pytest.mark.parametrize("own, wanted_m", [(None, 0.4), ([2.0], 2.0)])
+def test_constant_widths_come_from_above_where_a_prim_has_none(empty, only_shape, kind, own, wanted_m):
+    """As any constant primvar; a width of the prim's own comes first."""
+    stage = empty()
+    prim = stage.DefinePrim("/Scope/Curves", kind)
+    prim.GetAttribute("points").Set([(0, 5, 0), (3, 5, 0)])
+    if kind == "BasisCurves":
+        prim.GetAttribute("curveVertexCounts").Set([2])
+        prim.GetAttribute("type").Set("linear")
+        UsdGeom.BasisCurves(prim).SetWidthsInterpolation("constant")
+    if own is not None:
+        prim.GetAttribute("widths").Set(own)
+    above = UsdGeom.PrimvarsAPI(prim.GetParent()).CreatePrimvar("widths", Sdf.ValueTypeNames.HalfArray, "constant")
+    above.Set([0.4])
+    assert np.ptp(only_shape(translate(stage))["positions"][:, 2]) == pytest.approx(wanted_m, rel=0.1)
