@@ -328,6 +328,8 @@ def composition_notes(stage: Usd.Stage) -> list[Note]:
         text = text.replace(f"@{folder}/", "@./")
         asset = re.match(r"Could not (?:open asset|load sublayer) @([^@]+)@ (?:for (\w+)|of layer)", text)
         fault = materialx.fault_of(str(Path(folder, asset[1]))) if asset and materialx.is_materialx(asset[1]) else ""
+        if asset and asset[1].lower().endswith(".mtlx]"):
+            fault = "it is within an archive; unpack that and bake the stage in it"
         if asset and fault:
             text = f"refers to {asset[1]}, which is not read ({fault}); its materials are missing"
         elif asset:

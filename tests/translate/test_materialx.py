@@ -7,6 +7,7 @@ from `colorsys`.
 import colorsys
 import os
 import shutil
+import zipfile
 
 import MaterialX as mx  # noqa: N813 - as its own pages do
 import numpy as np
@@ -422,6 +423,17 @@ def test_a_file_that_is_nowhere_is_told_from_any_folder(tmp_path, monkeypatch, n
     stage = open_stage(placed(tmp_path / "stage", "", arc=f"references = @{name}@</MaterialX/Materials/Car>"))
     (note,) = [note for note in composition_notes(stage) if "gone.mtlx" in note.text]
     assert note.text.endswith(f"{name} is missing; drawn without it")
+
+
+def test_a_file_within_an_archive_is_told_as_what_it_is(tmp_path):
+    """It is there, and is not read."""
+    (tmp_path / "car.mtlx").write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
+    placed(tmp_path, "", arc="references = @car.mtlx@</MaterialX/Materials/Car>")
+    with zipfile.ZipFile(tmp_path / "a.usdz", "w") as archive:  # stored, as .usdz has it; alignment is no matter here
+        for name in ("a.usda", "car.mtlx"):
+            archive.write(tmp_path / name, name)
+    told = [note.text for note in composition_notes(open_stage(tmp_path / "a.usdz")) if "car.mtlx" in note.text]
+    assert len(told) == 1 and "is not read (it is within an archive; unpack that" in told[0]
 
 
 def test_a_file_may_be_a_sublayer(tmp_path, monkeypatch):
