@@ -12,7 +12,7 @@ from types import MappingProxyType
 from pxr import Usd, UsdShade
 
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.texture import numbers_in, shader_id
+from synfog_usd.translate.texture import numbers_in, producer, shader_id
 
 _NUMBERS: Mapping[str, Mapping[str, int]] = MappingProxyType(
     {
@@ -36,12 +36,20 @@ _WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Inputs that hold a word."""
 
+_FOLLOWED: Mapping[str, str] = MappingProxyType(
+    {
+        **{"UsdUVTexture": "st", "UsdTransform2d": "in", "UsdPrimvarReader": "", "geompropvalue": ""},
+        **dict.fromkeys(("image", "tiledimage", "place2d"), "texcoord"),
+    }
+)
+"""The one input of a shader, '' for none, that other shaders may feed here; its other inputs are constants."""
+
 
 def tell_misfits(material: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> None:
     """Tell of each input of a material's shaders whose value does not fit, or whose connection gives nothing."""
     for prim in Usd.PrimRange(material):
         kind = shader_id(prim).removeprefix("ND_").partition("_")[0]
-        if kind not in _NUMBERS and kind not in _WORDS:
+        if not any(kind in table for table in (_NUMBERS, _WORDS, _FOLLOWED)):
             continue
         wanted, words = _NUMBERS.get(kind, {}), _WORDS.get(kind, ())
         for one in UsdShade.Shader(prim).GetInputs():
@@ -49,6 +57,8 @@ def tell_misfits(material: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> 
             if attribute.HasAuthoredConnections():
                 if not UsdShade.Utils.GetValueProducingAttributes(one):
                     notes.warn(prim.GetPath(), f"the connection of {name} gives nothing; its default is taken")
+                elif name != _FOLLOWED.get(kind, name) and producer(UsdShade.Shader(prim), name) is not None:
+                    notes.warn(prim.GetPath(), f"what other shaders give to {name} is not drawn; its default is taken")
                 continue
             value = attribute.Get(time)
             value = attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value

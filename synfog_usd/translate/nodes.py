@@ -34,8 +34,8 @@ MOST_PIXELS = 1 << 24
 IMAGES = ("ND_image_", "ND_tiledimage_", "ND_gltf_image_", "ND_gltf_colorimage", "ND_gltf_normalmap")
 """How MaterialX's nodes begin that are pictures."""
 
-READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue")
-"""How the shaders begin that give a primvar of the shape."""
+READERS = ("UsdPrimvarReader", "ND_UsdPrimvarReader", "ND_geompropvalue", "ND_geomcolor")
+"""How the shaders begin that give a primvar of the shape; the last one gives its displayColor."""
 
 ImageOf = Callable[[Usd.Attribute, str], TextureNode | None]
 

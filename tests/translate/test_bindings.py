@@ -741,3 +741,27 @@ def reads(stage, surface, kind, inputs, name="x"):
     outputs = {"Reader": reader.GetOutput("out"), "Half": half.CreateOutput("out", value)}
     for one, node in inputs.items():
         surface.CreateInput(one, value).ConnectToSource(outputs[node])
+
+
+def test_materialx_geomcolor_is_the_display_colour(empty, square, only_shape):
+    """By vertex too, as MaterialX's colour of the geometry."""
+    stage = empty()
+    surface = standard_surface(stage)
+    node = UsdShade.Shader.Define(stage, "/Look/Node")
+    node.CreateIdAttr("ND_geomcolor_color3")
+    output = node.CreateOutput("out", TYPES.Color3f)
+    surface.CreateInput("base_color", TYPES.Color3f).ConnectToSource(output)
+    prim = square(stage, "/Mesh")
+    own = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("displayColor", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
+    own.Set([RED, GREEN, BLUE, (0.5, 0.5, 0.5)])
+    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
+    shape = only_shape(translate(stage))
+    wanted = {(0.0, 0.0): RED, (1.0, 0.0): GREEN, (1.0, 1.0): BLUE, (0.0, 1.0): (0.5, 0.5, 0.5)}
+    for place, color in zip(shape["positions"], shape["vertex_color"], strict=True):
+        assert (
+            tuple(color)
+            == wanted[
+                float(round(place[0] - shape["positions"][:, 0].min())),
+                float(round(place[2] - shape["positions"][:, 2].min())),
+            ]
+        )

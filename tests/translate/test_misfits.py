@@ -304,3 +304,22 @@ def test_a_display_colour_that_reflects_more_than_it_gets_is_told(painted, inter
     assert note.text.startswith(
         "its colours go from -1 to 2, and 0 to 1 can be drawn; what is outside is taken as 0 or"
     )
+
+
+@pytest.mark.parametrize(
+    "shader, name, kind",
+    [
+        *(("Picture", name, TYPES.Float4) for name in ("scale", "bias", "fallback")),
+        *(("Turn", name, TYPES.Float2) for name in ("rotation", "scale", "translation")),
+        ("Tint", "fallback", TYPES.Float3),
+    ],
+)
+def test_what_other_shaders_give_to_a_constant_input_is_told(painted, shader, name, kind):
+    stage = painted(1)
+    write(stage, f"/M0/{shader}", name, kind, connection="/M0/Rough.outputs:result")
+    scene = drawn_all(stage, 1)
+    assert [note.path for note in scene.notes if f"give to {name} is not drawn" in note.text] == [f"/M0/{shader}"]
+
+
+def test_what_is_followed_is_not_told(painted):
+    assert not [note for note in drawn_all(painted(1), 1).notes if "is not drawn; its default" in note.text]
