@@ -1,8 +1,8 @@
-"""The language of recipes as a page and as a JSON Schema, made from the parameters themselves.
+"""The language of recipes as a page and as a JSON Schema, made from the parameters themselves; and the page of lights.
 
     python -m synfog_usd.world.reference [FOLDER]
 
-writes `recipes.md` and `recipe.schema.json` into a folder, docs/reference if left out.  The schema knows
+writes `recipes.md`, `recipe.schema.json` and `lights.md` into a folder, docs/reference if left out.  The schema knows
 every key, name and range; it cannot see what one value asks of another (that low is below high, that
 arms find room): that is for `compose`.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from synfog_usd.base.files import write_bytes
+from synfog_usd.world import catalogue
 from synfog_usd.world.language import FOG, FOG_DEFAULT, SCHEMA, Categorical, Continuous, Parameter, sections
 from synfog_usd.world.parameters import LANE, WORLDS, World, named
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
@@ -258,13 +259,13 @@ def _default(parameter: Parameter) -> str:
 
 
 def files() -> dict[str, str]:
-    """Name -> content of the two files."""
+    """Name -> content of the three files."""
     whole = schema()
     rows = [
         f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in whole.pop("definitions").items()
     ]  # one a line
     text = json.dumps(whole, indent=1).removesuffix("\n}") + ',\n "definitions": {\n' + ",\n".join(rows) + "\n }\n}\n"
-    return {"recipes.md": page(), "recipe.schema.json": text}
+    return {"recipes.md": page(), "lights.md": catalogue.page(), "recipe.schema.json": text}
 
 
 if __name__ == "__main__":

@@ -321,7 +321,7 @@ def test_the_sheet_shows_all_of_them(tmp_path):
 
 
 def test_the_documented_tables_are_the_codes():
-    text = (ROOT / "docs" / "worlds.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "lights.md").read_text(encoding="utf-8")
     rows = {
         line.split("`")[1]: [cell.strip() for cell in line.split("|")[2:-1]]
         for line in text.splitlines()
