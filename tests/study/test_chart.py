@@ -383,7 +383,7 @@ def test_report_replaces_what_is_between_the_marks(tmp_path):
     report(tmp_path / "out", document)
     text = document.read_text()
     assert text.startswith(f"before\n{BEGIN}\n") and text.endswith(f"{END}\nafter\n") and "old" not in text
-    assert "| street | path |" in text and "| street | 0.2 s, 4, 10 %, 1 % | no time |" in text
+    assert "| street | path |" in text and "| street | 0.2 s, 4, 10 %, 1 % | not run |" in text
     assert "| `volpathmis` | none | street: failed at 8 samples: NaN |" in text
     assert "| `single` | street 20 % |" in text and (tmp_path / "docs" / "images" / "chart_mottle.png").is_file()
     report(tmp_path / "out", document)

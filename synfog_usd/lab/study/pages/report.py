@@ -75,7 +75,7 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
                 f"{drawing.duration(point.seconds)}, {point.samples}, {drawing.percent(point.relative_rms)}, "
                 f"{drawing.percent(point.mottle)}"
                 if point
-                else "no time"
+                else "not run"
             )
         text += f"| {name} | {' | '.join(cells)} |\n"
     return text.rstrip()
