@@ -53,6 +53,7 @@ EXAMPLES = (
 )
 """How names begin that a reader makes, or a bake."""
 
+COMMAND = typer.main.get_command(app)
 everywhere = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 
 
@@ -81,7 +82,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def fault(words: list[str]) -> str | None:
     """What is wrong with a command line, or None: a verb or an option that is not there."""
-    command = typer.main.get_command(app)
+    command = COMMAND
     while words and hasattr(command, "commands"):
         if words[0].startswith("-"):
             break
