@@ -71,7 +71,7 @@ VERBS = {
     "graph schema": [],
     "graph profile": ["sensor"],
     "asset import": ["box.obj", "--class", "car", "--length", "4", "-o", "models"],
-    "dataset plan": ["tiny.yaml", "--quiet"],
+    "dataset plan": ["tiny.yaml"],
     "dataset run": ["tiny.yaml", "-o", "set", "--quiet"],
     "dataset offers": [],
     "dataset status": ["set"],

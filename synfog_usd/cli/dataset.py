@@ -31,19 +31,12 @@ Variant = Annotated[str, typer.Option(help="auto, cuda, llvm or scalar.")]
 @app.command()
 def plan(
     file: Set,
-    workers: Workers = None,
-    probe: Annotated[
-        bool, typer.Option(help="Make small units, to tell hours and gigabytes; --no-probe only counts.")
-    ] = True,
-    variant: Variant = "auto",
-    gpu: options.Gpu = None,
-    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tell what the SET holds, and what it takes on this machine, before anything is made."""
+    """Tell what the SET holds before anything is made; once the first units are, 'dataset status' tells hours."""
     from synfog_usd.cli import sets as verb
 
-    verb.plan(file, workers=workers, probe=probe, variant=options.device(variant, gpu), quiet=quiet, as_json=as_json)
+    verb.plan(file, as_json=as_json)
 
 
 @app.command()

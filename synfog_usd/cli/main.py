@@ -208,7 +208,7 @@ def preview(
         bool, typer.Option("--watch", help="Draw again on each save of a file that STAGE is made of, until Ctrl-C.")
     ] = False,
     terminal: Annotated[
-        str, typer.Option(help="Pictures in the terminal: sixel, colours, 256 or none; auto asks the terminal.")
+        str, typer.Option(help="Pictures in the terminal: colours, 256 or none; auto goes by its variables.")
     ] = "auto",
     pipeline: options.Pipeline = None,
     lighting: options.Lightings = None,

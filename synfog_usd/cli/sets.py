@@ -17,7 +17,7 @@ from synfog_usd.dataset.sets import journal, offers
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.dataset.sets.run import Outcome, make_set
-from synfog_usd.dataset.sets.work import CHILD, told
+from synfog_usd.dataset.sets.work import told
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.sets.cost import Count
@@ -27,31 +27,16 @@ if TYPE_CHECKING:
 WATCH_S = 2.0
 
 
-def plan(file: Path, *, workers: int | None, probe: bool, variant: str, quiet: bool, as_json: bool) -> None:
-    """Print what a set holds, at once, and then what it takes, which small units have to tell."""
+def plan(file: Path, *, as_json: bool) -> None:
+    """Print what a set holds."""
     from synfog_usd.dataset.sets import cost
 
     found = offers.known(load_set(file), offers.asked)
-    counted, expected = cost.count(found), None
-    if not as_json:
-        _print_count(found, counted)
-    try:
-        with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
-            if probe:
-                log("small units are made to tell disk, time and memory; Ctrl-C ends that, --no-probe leaves it out")
-                expected = cost.estimate(found, counted, CHILD, workers=workers, variant=variant, progress=progress)
-    except KeyboardInterrupt:
-        raise typer.Exit(worker.INTERRUPTED) from None
+    counted = cost.count(found)
     if as_json:
-        plain = dataclasses.asdict(counted) | ({"estimate": dataclasses.asdict(expected)} if expected else {})
-        print(json.dumps(plain, indent=2))
-    elif expected:
-        print(f"  disk      {expected.gigabytes:.3g} GB")
-        print(
-            f"  time      {_hours(expected.hours)} with {expected.workers} units at a time; "
-            f"{_hours(expected.cpu_h)} of processor time, give or take {100 * expected.unsure:.0f} %"
-        )
-        print(f"  memory    {expected.peak_mb / 1000:.2g} GB a unit")
+        print(json.dumps(dataclasses.asdict(counted), indent=2))
+    else:
+        _print_count(found, counted)
 
 
 def _print_count(found: SetDefinition, counted: Count) -> None:
@@ -70,10 +55,6 @@ def print_offers() -> None:
     for path in sys.stdin.read().splitlines():
         with worker.reading_limits():
             print(json.dumps(offers.of_stage(Path(path))), flush=True)
-
-
-def _hours(hours: float) -> str:
-    return f"{hours:.3g} h" if hours >= 1.0 else f"{hours * 60:.2g} min"
 
 
 def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json: bool, **more: Any) -> None:

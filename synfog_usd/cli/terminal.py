@@ -1,18 +1,14 @@
-"""A picture in the terminal: sixels where it has them, else two pixels a letter, else nothing.
+"""A picture in the terminal: two pixels a letter, or nothing.
 
-Takes a PIL image; gives text with control sequences.  What the terminal can do is asked of the
-terminal itself (sixels) and of the variables that it sets (colours).
+Takes a PIL image; gives text with control sequences.  The variables that a terminal sets say which colours it has.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import re
-import select
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -20,28 +16,23 @@ import numpy as np
 if TYPE_CHECKING:
     from PIL import Image
 
-Kind = Literal["sixel", "colours", "256", "none"]
-KINDS: tuple[Kind, ...] = ("sixel", "colours", "256", "none")
-
-ANSWER_S = 0.3
-"""How long a terminal is given to tell what it can; a far one over ssh takes 0.1 s."""
+Kind = Literal["colours", "256", "none"]
+KINDS: tuple[Kind, ...] = ("colours", "256", "none")
 
 _CUBE = np.array([0, 95, 135, 175, 215, 255])
 """Levels of the 6 x 6 x 6 colours 16 to 231 of xterm's palette."""
 
 
-def kind(environment: Mapping[str, str] = os.environ, *, source: int = 0, target: int = 1) -> Kind:
+def kind(environment: Mapping[str, str] = os.environ, *, target: int = 1) -> Kind:
     """What the terminal can show.
 
     Args:
         environment: TERM, COLORTERM, NO_COLOR and, of Windows Terminal, WT_SESSION.
-        source, target: file descriptors of its keyboard and its screen.
+        target: file descriptor of its screen.
     """
     term = environment.get("TERM", "")
     if not os.isatty(target) or term == "dumb" or environment.get("NO_COLOR"):
         return "none"
-    if os.isatty(source) and "4" in _attributes(source, target):
-        return "sixel"
     if environment.get("COLORTERM") in ("truecolor", "24bit") or environment.get("WT_SESSION"):
         return "colours"
     return "256" if "256color" in term else "none"
@@ -51,34 +42,13 @@ def drawn(picture: Image.Image, how: Kind, columns: int) -> str:
     """The picture as text that a terminal draws, with a line's end.
 
     Args:
-        picture: any size; shown by pixels as sixels, else made small enough for the columns.
+        picture: any size; made small enough for the columns.
         how: see `kind`.
         columns: letters that go into a line.
     """
     if how == "none":
         return ""
-    picture = picture.convert("RGB")
-    return f"{sixels(picture)}\n" if how == "sixel" else blocks(picture, columns, palette=how == "256")
-
-
-def sixels(picture: Image.Image) -> str:
-    """The picture by up to 256 colours, six rows at a time (DEC STD 070, chapter 9; VT330/VT340 manual)."""
-    indexed = picture.quantize(256)
-    numbers = np.asarray(indexed)
-    table = np.asarray(indexed.getpalette(), dtype=np.float64).reshape(-1, 3)
-    text = [f'\x1bP0;1q"1;1;{picture.width};{picture.height}']
-    for colour in np.unique(numbers):
-        red, green, blue = np.rint(table[colour] * (100.0 / 255.0)).astype(int)
-        text.append(f"#{colour};2;{red};{green};{blue}")
-    for top in range(0, picture.height, 6):
-        band = numbers[top : top + 6]
-        rows = (1 << np.arange(len(band)))[:, None]
-        for colour in np.unique(band):
-            signs = bytes((63 + ((band == colour) * rows).sum(axis=0)).astype(np.uint8)).decode("ascii")
-            runs = re.sub(r"(.)\1{3,}", lambda run: f"!{len(run[0])}{run[1]}", signs.rstrip("?"))
-            text.append(f"#{colour}{runs}$")
-        text.append("-")
-    return "".join([*text, "\x1b\\"])
+    return blocks(picture.convert("RGB"), columns, palette=how == "256")
 
 
 def blocks(picture: Image.Image, columns: int, *, palette: bool = False) -> str:
@@ -113,34 +83,6 @@ def _nearest(colour: np.ndarray) -> str:
     far = [np.square(value - colour.astype(float)).sum() for value in (_CUBE[cube], 8 + 10 * grey)]
     number = 232 + grey if far[1] < far[0] else 16 + int(cube @ [36, 6, 1])
     return f"5;{number}"
-
-
-def _attributes(source: int, target: int) -> set[str]:
-    """What a terminal answers to "primary device attributes"; nothing where it does not, or on Windows."""
-    with contextlib.suppress(OSError, ImportError), _key_by_key(source):
-        os.write(target, b"\x1b[c")
-        answer, ends = b"", time.monotonic() + ANSWER_S
-        while not answer.endswith(b"c") and select.select([source], [], [], max(0.0, ends - time.monotonic()))[0]:
-            if not (more := os.read(source, 64)):
-                break
-            answer += more
-        found = re.search(rb"\x1b\[\?([\d;]+)c", answer)
-        return set(found[1].decode("ascii").split(";")[1:]) if found else set()
-    return set()
-
-
-@contextlib.contextmanager
-def _key_by_key(source: int) -> Iterator[None]:
-    """Without an echo, and without waiting for the end of a line; Ctrl-C works on."""
-    import termios
-
-    before = termios.tcgetattr(source)
-    changed = [*before[:3], before[3] & ~(termios.ICANON | termios.ECHO), *before[4:]]
-    termios.tcsetattr(source, termios.TCSANOW, changed)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(source, termios.TCSANOW, before)
 
 
 def columns() -> int:

@@ -9,18 +9,14 @@ import fnmatch
 import importlib
 import re
 import shlex
-from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
-from test_layers import BELOW, FILES, HEAVY, PACKAGE, imports, room_of
+from test_layers import BELOW
 
-from synfog_usd.camera import OPS
 from synfog_usd.cli.main import app
-from synfog_usd.stage import budget, schema
-from synfog_usd.translate import texture
 from synfog_usd.world import compose
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -198,33 +194,6 @@ def test_the_table_of_rooms_is_what_the_layer_test_keeps():
             assert {*re.findall(r"[\w/]+", table[room][0])} == {"base", *below}, room
 
 
-def test_the_table_of_rooms_names_the_heavy_libraries():
-    """A library stands in the rows of the rooms that import it, and in no others."""
-    users = defaultdict(set)
-    for path in FILES:
-        for module, _ in imports(path):
-            users[module.split(".")[0]].add(room_of(path.relative_to(PACKAGE).parts))
-    for library in HEAVY:
-        named = {room for room, (_, heavy) in rooms().items() if library.replace("_", "-") in heavy}
-        assert named == users[library], library
-
-
-def test_the_limits_of_a_stage_are_those_that_are_kept():
-    """Every budget of `stage/budget.py` stands in the table of check.md, and beside them that of textures alone."""
-    text = (ROOT / "docs/check.md").read_text(encoding="utf-8").split("## What a stage may ask for")[1]
-    cells = re.findall(r"^\| [^|]+ \| ([\d. ]+)(million)? \|", text, flags=re.MULTILINE)
-    told = Counter(round(float(number.replace(" ", "")) * (1_000_000 if million else 1)) for number, million in cells)
-    kept = Counter(value for name, value in vars(budget).items() if name.startswith("MAX_"))
-    assert kept <= told
-    assert set(told - kept) == {round(texture.MAX_PIXELS / 1e6) * 1_000_000}
-
-
-def test_every_attribute_of_fog_is_told_to_artists():
-    """The table of artists.md has each attribute of the schema."""
-    text = (ROOT / "docs/artists.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `synfog:fog:(\w+)` \|", text, flags=re.MULTILINE)) == set(schema.DEFAULTS)
-
-
 def test_the_recipe_of_the_page_can_be_drawn(tmp_path):
     """The recipe of worlds.md keeps its rules; the table has each shipped recipe."""
     text = (ROOT / "docs/worlds.md").read_text(encoding="utf-8")
@@ -233,21 +202,3 @@ def test_the_recipe_of_the_page_can_be_drawn(tmp_path):
     assert {path.stem for path in (ROOT / "stages/recipes").glob("*.yaml")} <= set(
         re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)
     )
-
-
-def test_every_op_is_told_to_camera_engineers():
-    """The table of camera.md names each op, with its family or without."""
-    text = (ROOT / "docs/camera.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`([\w.]+)`", text))
-    assert {name for name in OPS.ops if not {name, name.split(".")[1]} & named} == set()
-
-
-def test_every_variant_set_of_the_library_is_told():
-    """The table of artists.md names each variant set of the shipped models, and no other."""
-    text = (ROOT / "docs/artists.md").read_text(encoding="utf-8").split("| variant set |")[1].split("\n\n")[0]
-    shipped = {
-        name
-        for path in (ROOT / "assets/models").glob("*/*.usda")
-        for name in re.findall(r'variantSet "(\w+)"', path.read_text(encoding="utf-8"))
-    }
-    assert set(re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)) == shipped
