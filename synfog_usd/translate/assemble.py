@@ -565,8 +565,7 @@ class _Assembler:
             light.refuse_blinding(leaf.path, np.asarray(nits))
             self.flux_of[f"shape_{len(self.shapes)}"] = math.pi * _area_of(shape) * nits
             shape = {**shape, "emitter": {"type": "area", "radiance": emission}}
-        if "positions" in shape:
-            self.spread.append(shape["positions"])
+        self.spread.append(_corners(shape))
         self.new_shape(shape, instance)
 
     def new_shape(self, shape: dict[str, Any], instance: int | None) -> None:
@@ -681,6 +680,13 @@ class _Assembler:
             self.instances.append(Instance(len(self.instances) + 1, path, label, frame, velocity))
             self.instance_ids[path] = len(self.instances)
         return self.instance_ids[path]
+
+
+def _corners(shape: dict[str, Any]) -> np.ndarray:
+    """(N, 3) points in whose box a sphere or mesh of the scene lies."""
+    if shape["type"] == "sphere":
+        return np.array(shape["center"]) + np.array([[-1.0], [1.0]]) * shape["radius"]
+    return np.asarray(shape["positions"])
 
 
 def _area_of(shape: dict[str, Any]) -> float:
