@@ -26,7 +26,7 @@ from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.surface import lit_from
 
-MOST_WEIGHED = 160
+MOST_WEIGHED = 240
 """Lamps that are all weighed for each stretch and point; of more, some are drawn by flux and peak."""
 
 LEAST_CHANCE = 0.15
