@@ -101,7 +101,6 @@ def _rendered(
             size=(size[0] * scale, size[1] * scale),
             samples=samples,
             model="path",
-            denoise=True,
             allow=allow,
         )
         bake(plan)
