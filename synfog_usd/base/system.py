@@ -340,7 +340,12 @@ def apart() -> dict[str, Any]:
 
 
 def died(code: int) -> int:
-    """An exit code as it is; negative where a process did not end by itself: minus the signal, or Windows' NTSTATUS."""
+    """An exit code as it is; negative where a process did not end by itself: minus the signal, or Windows' NTSTATUS.
+
+    127 is the dynamic loader's where it finds no memory to resolve a symbol.
+    """
+    if code == 127:
+        return -signal.SIGABRT
     return code - (1 << 32) if code >= 1 << 31 else code
 
 
