@@ -26,7 +26,7 @@ def run(plan: dict[str, Any], *, quiet: bool) -> None:
                 print(name)
                 for line in page.verdicts(name, chart.points):
                     print(f"  {line}")
-            print(f"look at {made.out / study.SUITE_NAMES[-1]}")
+            print(f"look at {made.out / 'index.html'}")
         return
     with shown(quiet) as (progress, _):
         chart = study.chart(made, progress=progress)

@@ -8,7 +8,7 @@ from pxr import Usd, UsdGeom
 from support.cli import run
 
 from synfog_usd.base.errors import OutputError
-from synfog_usd.cli import check as verb
+from synfog_usd.dataset import check as verb
 from synfog_usd.stage import open_stage, rules
 
 HEAD = '#usda 1.0\n(\n    metersPerUnit = {metres}\n    upAxis = "Z"\n    documentation = "a street"\n)\n'
