@@ -54,12 +54,7 @@ def test_transmittance_is_of_the_nearest_point_of_a_box():
     """T = exp(-sigma d): a ball of radius 2 m at 50 m begins at 48 m, and one 10 m aside at (8, 198) m."""
     found = of_instances(avenue(50.0, 200.0))
     assert found == pytest.approx(
-        {
-            1: np.exp(-SIGMA * 48.0),
-            2: np.exp(-SIGMA * 198.0),
-            3: np.exp(-SIGMA * np.hypot(8.0, 198.0)),
-        },
-        rel=1e-6,
+        {1: np.exp(-SIGMA * 48.0), 2: np.exp(-SIGMA * 198.0), 3: np.exp(-SIGMA * np.hypot(8.0, 198.0))}, rel=1e-6
     )
 
 

@@ -110,10 +110,7 @@ def test_any_value_of_any_attribute_ends_in_a_scene_or_an_error(found):
 
 
 @fuzzed(30)
-@given(
-    st.integers(0, len(VALUES) - 1),
-    st.sampled_from(TYPES),
-)
+@given(st.integers(0, len(VALUES) - 1), st.sampled_from(TYPES))
 @bounded
 def test_any_type_of_any_attribute_ends_in_a_scene_or_an_error(number, kind):
     """`points` that are a string, an intensity that is a matrix: USD reads all of it."""

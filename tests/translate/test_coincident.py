@@ -112,8 +112,7 @@ def test_instances_are_looked_at_in_their_places(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "stage",
-    [pytest.param(path, marks=[pytest.mark.slow] * (path.stem not in QUICK), id=path.stem) for path in STAGES],
+    "stage", [pytest.param(path, marks=[pytest.mark.slow] * (path.stem not in QUICK), id=path.stem) for path in STAGES]
 )
 def test_no_shipped_stage_has_coincident_faces(stage):
     """Where there are any, coherent and incoherent rays choose differently: a block of the crossing differed by 19

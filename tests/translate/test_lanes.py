@@ -30,8 +30,7 @@ def test_a_lane_arrives_in_metres_and_z_up(empty):
 
 
 @pytest.mark.parametrize(
-    "words",
-    [{"counts": (4,)}, {"counts": (1, 3)}, {"counts": (2, 3)}, {"kind": "cubic"}, {"bad": float("nan")}],
+    "words", [{"counts": (4,)}, {"counts": (1, 3)}, {"counts": (2, 3)}, {"kind": "cubic"}, {"bad": float("nan")}]
 )
 def test_what_is_no_pair_of_edges_is_told(empty, words):
     stage = empty()

@@ -109,12 +109,7 @@ PLATE = """def Mesh "Plate"
             "/Plate",
             "1 edges of its creases are no edges of its faces; they are left out",
         ),
-        (
-            "",
-            PLATE + "    int[] holeIndices = [-1, 7]\n}\n",
-            "/Plate",
-            "2 of its 2 holes name no face of its 1",
-        ),
+        ("", PLATE + "    int[] holeIndices = [-1, 7]\n}\n", "/Plate", "2 of its 2 holes name no face of its 1"),
     ],
 )
 def test_what_makes_no_sense_is_told_with_what_is_taken(tmp_path, camera, prims, path, told):

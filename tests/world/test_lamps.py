@@ -11,7 +11,6 @@ from pxr import Usd, UsdGeom, UsdLux
 from scipy.interpolate import RegularGridInterpolator
 
 from assets.builders import lamps as beams
-from synfog_usd.base import photometry
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import light, lightgroup
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -21,7 +20,6 @@ from synfog_usd.world.shapes import shift, turn
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "assets" / "lamps"
 BEAMS = [name for name, lamp in lamps.LAMPS.items() if lamp.ies]
-SIGNALS = [name for name, lamp in lamps.LAMPS.items() if not lamp.ies]
 STREET = [name for name in BEAMS if name.startswith("street")]
 LOW = [name for name in BEAMS if name.startswith("low_beam")]
 
@@ -64,14 +62,6 @@ def ahead(path):
         return look(np.degrees(np.arccos(np.clip(z, -1, 1))), np.degrees(np.arctan2(y, x)))
 
     return at
-
-
-def test_every_lamp_with_a_file_has_a_beam_and_no_other():
-    assert (
-        list(beams.BEAMS)
-        == BEAMS
-        == [path.stem for path in sorted(SHIPPED.glob("*.ies"), key=lambda path: BEAMS.index(path.stem))]
-    )
 
 
 @pytest.mark.parametrize("name", BEAMS)
@@ -236,15 +226,6 @@ def test_tints_have_the_luminance_and_the_colour_of_their_spectra():
     np.testing.assert_allclose(temperatures, [2856, 4002, 5109], rtol=0.02)  # CIE 015:2018, table 8
 
 
-def test_red_and_amber_spectra_peak_where_they_say():
-    wavelengths = photometry.WAVELENGTHS_NM
-    for name, peak in (("brake", 625), ("indicator_rear", 592)):
-        power = lamps.spectrum(lamps.LAMPS[name])
-        assert wavelengths[power.argmax()] == peak
-        half = wavelengths[power >= power.max() / 2]
-        assert 12 <= np.ptp(half) <= 20
-
-
 @pytest.mark.parametrize("name", list(lamps.LAMPS))
 def test_a_lamp_on_a_stage_has_its_candelas_its_group_and_its_file(name, tmp_path):
     """A ball of luminance x file and of projected area pi r^2, seen from any side; a disk seen from ahead."""
@@ -268,12 +249,6 @@ def test_a_lamp_on_a_stage_has_its_candelas_its_group_and_its_file(name, tmp_pat
     matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
     assert np.allclose(matrix.Transform((0, 0, -1)), (1.0, 3.0, 3.0), atol=1e-6)  # looks along +Y from its place
     assert prim.GetAttribute("synfog:spectrum:emission").Get() == lamp.spectrum
-
-
-def test_a_lamp_may_join_another_group():
-    stage = Usd.Stage.CreateInMemory()
-    lit = lamps.author_lamp(stage, "/Lamp", "street_led_60w", np.eye(4), group="left_row")
-    assert lightgroup.authored_group(lit.GetPrim()) == "left_row"
 
 
 def test_wrong_names_are_answered_with_the_right_ones():

@@ -12,7 +12,7 @@ from synfog_usd.base import resources
 from synfog_usd.world import authoring
 from synfog_usd.world.compose import draw, load
 from synfog_usd.world.library import model
-from synfog_usd.world.roads.stage import KINDS, author_lanes
+from synfog_usd.world.roads.stage import KINDS
 from synfog_usd.world.spec import Placement
 
 RECIPES = resources.folder("stages") / "recipes"
@@ -52,14 +52,6 @@ def test_who_parks_stands_and_is_in_a_bay(name):
     parked = [p for p in spec.placed if p.speed_m_s == 0.0 and not p.lit]
     bays = shapely.union_all([area for one, area in zip(lanes, areas, strict=True) if one.type == "parking"])
     assert len(parked) > 5 and all(bays.contains(shapely.Point(p.x, p.y)) for p in parked)
-
-
-def test_the_ring_of_a_roundabout_is_between_its_circles():
-    spec, lanes, areas = world("roundabout")
-    ring = spec.road
-    assert areas[0].area == pytest.approx(np.pi * (ring.radius**2 - ring.inner**2), rel=0.01)
-    (x, y), (dx, dy) = lanes[0].left[:-1, :2].T, np.diff(lanes[0].left[:, :2], axis=0).T
-    assert (x * dy - y * dx > 0.0).all()  # counter-clockwise
 
 
 def test_speeds_are_the_recipes_and_look_ahead():
@@ -128,13 +120,3 @@ def test_velocities_are_along_the_cars_own_axis():
     axis = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(car))[1, :3]
     np.testing.assert_allclose(car.GetAttribute("physics:velocity").Get(), 9.0 * axis, atol=1e-3)
     assert not who.GetAttribute("physics:velocity")
-
-
-def test_lanes_are_guides_that_nobody_draws():
-    stage = Usd.Stage.CreateInMemory()
-    spec, lanes, _ = world("residential")
-    author_lanes(stage, spec)
-    (first, *others) = stage.GetPrimAtPath("/World/Lanes").GetChildren()
-    assert len(others) + 1 == len(lanes) and UsdGeom.Imageable(first).ComputePurpose() == "guide"
-    points = np.array(first.GetAttribute("points").Get())
-    np.testing.assert_allclose(points, np.concatenate([lanes[0].left, lanes[0].right]), atol=1e-3)

@@ -12,17 +12,20 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdUtils
 from support import cli
+from support.outlines import apart, outline
 
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.cli.main import main
-from synfog_usd.world.compose import asset_folder, compose, draw, load
-from synfog_usd.world.language import Distribution
+from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import crossing_actors
 from synfog_usd.world.roads.crossing import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "stages" / "recipes" / "crossroads.yaml"
-SEEDS = range(10)
+SEEDS = range(6)
+ROAD = "synfog: recipe/1\nworld: road\n"
+RING = "synfog: recipe/1\nworld: roundabout\n"
+LANES = "lane_section: [{lane: 3.5, way: -1}, {lane: 3.5, way: 1}]\n"
 CROWDED = """
 synfog: recipe/1
 parked: {share: 1.0, bodies: van}
@@ -43,37 +46,6 @@ def read(text):
         return load(path)
 
 
-@functools.cache
-def outline(asset):
-    """(low, high) of a component on the ground in its own axes [m]."""
-    stage = Usd.Stage.Open(str(ROOT / "assets" / "models" / asset / f"{asset}.usda"))
-    bound = (
-        UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "render"])
-        .ComputeWorldBound(stage.GetDefaultPrim())
-        .ComputeAlignedRange()
-    )
-    return np.array(bound.GetMin())[:2], np.array(bound.GetMax())[:2]
-
-
-def footprint(p):
-    """(4, 2) corners of a placement on the ground."""
-    (x0, y0), (x1, y1) = outline(p.asset)
-    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    c, s = math.cos(math.radians(p.heading)), math.sin(math.radians(p.heading))
-    return corners @ np.array([[c, s], [-s, c]]) + (p.x, p.y)
-
-
-def apart(a, b):
-    """Largest gap [m] between two rectangles along their sides; negative where they overlap."""
-    gaps = []
-    for corners in (a, b):
-        for edge in (corners[1] - corners[0], corners[3] - corners[0]):
-            axis = edge / np.linalg.norm(edge)
-            p, q = a @ axis, b @ axis
-            gaps.append(max(q.min() - p.max(), p.min() - q.max()))
-    return max(gaps)
-
-
 def near(placed, reach=14.0):
     """Pairs of placements that could touch."""
     for i, one in enumerate(placed):
@@ -86,49 +58,27 @@ def group(world, name):
     return [p for p in world.placed if p.group == name]
 
 
-WORLDS = [*((seed, None) for seed in SEEDS), *((seed, CROWDED) for seed in range(3))]
-
-
-@pytest.mark.parametrize("seed, text", WORLDS)
-def test_vehicles_do_not_overlap(seed, text):
-    """Ten seeds of the shipped recipe and three of the fullest streets: 10 cm between any two, mirrors included."""
-    vehicles = group(spec(seed, text), "Vehicles")
+@pytest.mark.parametrize("seed, text", [*((seed, None) for seed in range(5)), (0, CROWDED), (1, CROWDED)])
+def test_nobody_stands_in_a_vehicle_a_wall_a_thing_or_another(seed, text):
+    """10 cm between any two vehicles, mirrors included; a body is 40 cm wide, walls begin at WALL_X, and who is not on
+    the pavement is on a zebra.
+    """
+    world = spec(seed, text)
+    vehicles, people = group(world, "Vehicles"), [p for p in group(world, "People") if p.asset != "rider"]
     assert len(vehicles) > 30
-    prints = {p.name: footprint(p) for p in vehicles}
+    prints = {p.name: outline(p) for p in [*vehicles, *group(world, "Furniture")]}
     for one, other in near(vehicles):
         assert apart(prints[one.name], prints[other.name]) > 0.1, (one, other)
-
-
-@pytest.mark.parametrize("seed, text", WORLDS)
-def test_nobody_stands_in_a_vehicle_a_wall_a_thing_or_another(seed, text):
-    """A body is 40 cm wide; walls begin at WALL_X, and who is not on the pavement is on a zebra."""
-    world = spec(seed, text)
-    people = [p for p in group(world, "People") if p.asset != "rider"]
     solid = [
-        (p, footprint(p))
-        for p in [*group(world, "Vehicles"), *group(world, "Furniture")]
-        if p.asset != "street_lamp" and "traffic_light" not in p.asset
+        p for p in world.placed if p.name in prints and p.asset != "street_lamp" and "traffic_light" not in p.asset
     ]
     for p in people:
         body = np.array([(p.x + a, p.y + b) for a, b in ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))])
-        for other, print_ in solid:
-            assert math.hypot(p.x - other.x, p.y - other.y) > 8.0 or apart(body, print_) > 0.0, (p, other)
+        for other in solid:
+            assert math.hypot(p.x - other.x, p.y - other.y) > 8.0 or apart(body, prints[other.name]) > 0.0, (p, other)
         assert abs(p.x) < WALL_X - 1.0 or abs(p.y) < 4.4
         assert abs(p.x) > MAIN_HALF + 1 or ground_height(p.x, p.y) == 0.0
-    for one, other in near(people, 0.7):
-        raise AssertionError((one, other))
-
-
-def test_camera_sees_down_its_own_lane():
-    """No car within the lane ahead before the crossing, whatever the seed."""
-    for seed in SEEDS:
-        world = spec(seed)
-        ahead = [
-            p
-            for p in group(world, "Vehicles")
-            if abs(p.x - world.view.x) < 2.0 and -42.0 < p.y < -12.0 and p.asset != "bicycle"
-        ]
-        assert ahead == []
+    assert not list(near(people, 0.7))
 
 
 def test_signals_crossers_and_traffic_agree():
@@ -149,10 +99,10 @@ def test_signals_crossers_and_traffic_agree():
 
 
 def test_what_is_drawn_lies_where_the_recipe_says():
-    """Numbers over ten seeds: within their ends, and not always the same."""
+    """Numbers over six seeds: within their ends, and not always the same."""
     for name, own, low, high in (("day", "overcast", 3000, 8000), ("dusk", "dusk", 3, 8)):
         domes = [getattr(spec(seed), name) for seed in SEEDS]
-        assert len({dome.sky for dome in domes}) > 3
+        assert len({dome.sky for dome in domes}) > 2
         assert all(dome.gain == 1.0 for dome in domes if dome.sky != own)
         values = [
             getattr(spec(seed, f"synfog: recipe/1\nsky: {{{own}_nits: {{uniform: [{low}, {high}]}}}}\n"), name).gain
@@ -164,24 +114,6 @@ def test_what_is_drawn_lies_where_the_recipe_says():
         for seed in SEEDS
     )
     assert {sum(p.asset == "rider" for p in spec(seed).placed) for seed in SEEDS} == {0, 1}
-
-
-def test_weights_are_kept():
-    """4,000 draws of weights 3 : 1, within five standard deviations of a binomial."""
-    drawn = Distribution("choice", ("a", "b"), (3.0, 1.0))
-    rng = np.random.Generator(np.random.PCG64(0))
-    share = np.mean([drawn(rng) == "a" for _ in range(4000)])
-    assert share == pytest.approx(0.75, abs=5 * math.sqrt(0.75 * 0.25 / 4000))
-    assert drawn(rng, among=("c", "d")) == "c"
-
-
-def test_one_parameter_leaves_the_others_as_they_were():
-    """More people move no car, and another sky moves nobody."""
-    one, two = (
-        spec(3, f"synfog: recipe/1\npeople: {{count: {count}}}\nsky: {{dusk_nits: {count}}}\n") for count in (10, 20)
-    )
-    assert group(one, "Vehicles") == group(two, "Vehicles")
-    assert group(one, "People")[:10] == group(two, "People")[:10]
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_gives_others(tmp_path):
@@ -200,59 +132,64 @@ def test_the_same_seed_gives_the_same_bytes_and_another_gives_others(tmp_path):
     assert stage.GetRootLayer().customLayerData["seed"] == "1"
 
 
-@pytest.mark.parametrize(
-    "folder, found",
-    [
-        ("/tree/stages/drawn", "../../assets"),
-        ("/tree", "./assets"),
-        ("/elsewhere", "/tree/assets"),
-        ("/treehouse", "/tree/assets"),
-    ],
-)
-def test_references_are_relative_within_the_tree_and_absolute_elsewhere(folder, found):
-    """The folder that holds the assets can move as a whole; a stage outside of it still opens."""
-    assert asset_folder(Path(folder), Path("/tree/assets")) == found
-
-
 MISTAKES = [
     ("parked: {share: 0.5}", "1:1", "synfog is missing"),
     ("synfog: recipe/2", "1:9", "recipe/1"),
     ("synfog: recipe/1\nparkd: {}", "2:1", "Did you mean 'parked'"),
     ("synfog: recipe/1\nparked:\n  shore: 1", "3:3", "Did you mean 'share'"),
     ("synfog: recipe/1\nparked: 3", "2:9", "takes a mapping"),
-    ("synfog: recipe/1\nparked: {share: 1.5}", "2:17", "outside 0 to 1"),
-    ("synfog: recipe/1\nparked: {share: many}", "2:17", "{uniform: [low, high]}"),
     ("synfog: recipe/1\nparked: {share: .nan}", "2:17", "outside 0 to 1"),
     ("synfog: recipe/1\nparked: {share: {uniform: [0.8, 0.2]}}", "2:27", "lower"),
-    ("synfog: recipe/1\nparked: {share: {uniform: [0.8]}}", "2:17", "{uniform: [low, high]}"),
     ("synfog: recipe/1\nparked: {share: {integer: [0, 1]}}", "2:17", "{uniform: [low, high]}"),
-    ("synfog: recipe/1\nparked: {share: {}}", "2:17", "{uniform: [low, high]}"),
     ("synfog: recipe/1\ntraffic: {count: 2.5}", "2:18", "whole number"),
-    ("synfog: recipe/1\ntraffic: {count: true}", "2:18", "whole number"),
     ("synfog: recipe/1\ntraffic: {count: {integer: [1, 99]}}", "2:32", "outside 0 to 24"),
-    ("synfog: recipe/1\ntraffic: {bodies: tank}", "2:19", "hatchback"),
     ("synfog: recipe/1\ntraffic: {bodies: {choice: {saloon: 1, vann: 2}}}", "2:40", "Did you mean 'van'"),
     ("synfog: recipe/1\ntraffic: {bodies: {choice: {saloon: 0}}}", "2:37", "above 0"),
-    ("synfog: recipe/1\ntraffic: {bodies: {choice: [saloon]}}", "2:28", "weight"),
-    ("synfog: recipe/1\ntraffic: {bodies: {one: saloon}}", "2:19", "{choice: {name: weight, ...}}"),
-    ("synfog: recipe/1\ntraffic: {bodies: [saloon]}", "2:19", "hatchback"),
-    ("synfog: recipe/1\nfog: 300", "2:6", "list"),
-    ("synfog: recipe/1\nfog: []", "2:6", "list"),
     ("synfog: recipe/1\nfog: [300, 5]", "2:12", "outside 10 to 20000"),
     ("synfog: [recipe", "1:16", "not valid YAML"),
     ("synfog: recipe/1\nsky: {}\nsky: {}", "3:1", "twice"),
+    ("synfog: recipe/1\nworld: rode\n", "2:8", "Did you mean 'road'"),
+    (ROAD, "1:1", "needs 'lane_section'"),
+    (ROAD + "lane_section: [{lame: 3.5, way: 1}]", "3:17", "Did you mean 'lane'"),
+    (ROAD + "lane_section: [{lane: 3.5}]", "3:16", "needs its way"),
+    (ROAD + "lane_section: [{lane: 3.5, way: -1}]", "3:15", "in which the camera drives"),
+    (ROAD + "lane_section: [{lane: 3.5, way: 1}, {lane: 3.5, way: -1}]", "3:15", "keeps to the right"),
+    (ROAD + LANES + "road: {turn_deg: {normal: {mean: 0, deviation: 1, low: 5}}}", "4:27", "lacks high"),
+    (ROAD + LANES + "traffic: {per_hour: {by_hour: [[25, 3]]}}", "4:33", "outside 0 to 24"),
+    (ROAD + LANES + "rows: [{models: lime_tre}]", "4:17", "Did you mean 'lime_tree'"),
+    (ROAD + LANES + "rows: [{side: left}]", "4:8", "needs 'models'"),
+    (RING + "lane_section: []", "3:1", "no 'lane_section'"),
+    (RING + "circle: {diameter_m: 12}", "3:22", "outside 26 to 60"),
+    (RING + "rows: [{models: lime_tree, side: left}]", "3:28", "no 'side'"),
 ]
 
 
 @pytest.mark.parametrize("text, place, words", MISTAKES)
 def test_a_mistake_has_its_place(tmp_path, text, place, words):
-    """File, line and column, what was found and what is allowed."""
+    """File, line and column, what was found and what is allowed; nothing is written."""
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(RecipeError) as raised:
-        load(path)
+        compose(path, tmp_path / "s.usda", seed=0)
     assert str(raised.value).startswith(f"{path}:{place}: ")
-    assert words in str(raised.value)
+    assert words in str(raised.value) and not (tmp_path / "s.usda").exists()
+
+
+@pytest.mark.parametrize("text, words", [
+    (ROAD + LANES + "rules: {in_view: 20}", "rules.in_view 20 cannot be met: 60 tries gave at most"),
+    (ROAD + LANES + "traffic: {count: 0}", "rules.users 5 cannot be met: 60 tries gave at most 0"),
+    (ROAD + LANES + "people: {count: 3}", "no pavement"),
+    (ROAD + LANES + "camera: {lane: 1}", "camera.lane 1: the road has 1 lanes"),
+    (ROAD + LANES + "road: {length_m: 150}\ncamera: {station_m: 120}", "less than 60 m"),
+    (RING + "circle: {diameter_m: 26, ring_m: 9, apron_m: 4}", "circle.diameter_m 26 leaves no middle island"),
+    (RING + "arms: {count: 5, apart_deg: 100}", "arms.apart_deg 100: 5 arms do not find it"),
+    (RING + "arms: {count: 5, apart_deg: 40}\ncircle: {diameter_m: 26}", "degrees apart leave no arc"),
+])  # fmt: skip
+def test_a_rule_that_cannot_be_met_is_named(text, words):
+    """After a bounded number of tries, in one line."""
+    with pytest.raises(RecipeError) as raised:
+        draw(read(text), seed=0)
+    assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
 def test_the_largest_traffic_fits_and_too_dense_a_crowd_is_refused(monkeypatch):

@@ -28,23 +28,6 @@ def test_other_seeds_are_refused(text):
         sheet.seeds_of(text)
 
 
-def test_a_folder_gives_its_recipes_by_name_and_an_empty_one_is_refused(tmp_path):
-    """All that ship, in order."""
-    found = [path.stem for path in sheet.recipes_of(RECIPES)]
-    assert found == sorted(found) and {
-        "crossroads",
-        "residential",
-        "rural",
-        "motorway",
-        "arterial",
-        "bridge",
-        "tunnel",
-        "car_park",
-    } <= set(found)
-    with pytest.raises(ParameterError, match="no recipe"):
-        sheet.recipes_of(tmp_path)
-
-
 @pytest.mark.parametrize(
     "options, words",
     [
