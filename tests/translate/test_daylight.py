@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-import OpenImageIO
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdLux
+from support.looks import write
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import outdoors, translate, why_black
@@ -49,7 +49,6 @@ def test_illuminance_of_open_ground_is_that_of_sky_and_slanting_sun(empty):
     "nits, words, option",
     [
         (1.0, "deep twilight", "--light-scale 6000"),
-        (10.0, "twilight", "--light-scale 600"),
         (0.08, "a night of full moon", "--light-scale 80000"),
         (0.0008, "a clear night without a moon", "--light-scale 8000000"),
         (300.0, "an overcast day", None),
@@ -101,10 +100,7 @@ def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
     """1000 nits above and 1e6 below the horizon: pi 1000 lux, the lower half's light falls on no ground."""
     pixels = np.full((64, 128, 3), 1000.0, dtype=np.float32)
     pixels[32:] = 1e6
-    image = OpenImageIO.ImageOutput.create(str(tmp_path / "sky.exr"))
-    image.open(str(tmp_path / "sky.exr"), OpenImageIO.ImageSpec(128, 64, 3, "float"))
-    image.write_image(pixels)
-    image.close()
+    write(tmp_path / "sky.exr", pixels)
     stage = empty()
     dome = sky(stage, 1.0)
     dome.CreateTextureFileAttr(Sdf.AssetPath(str(tmp_path / "sky.exr")))
@@ -117,16 +113,7 @@ def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "lux, name, warned",
-    [
-        (3.0, "Sun", True),
-        (3.0, "Key", True),
-        (3.0, "Moon", False),
-        (0.2, "MoonLight", False),
-        (400.0, "Sun", False),
-        (80_000.0, "Sun", False),
-        (0.0, "Sun", False),
-    ],
+    "lux, name, warned", [(3.0, "Sun", True), (0.2, "MoonLight", False), (400.0, "Sun", False), (0.0, "Sun", False)]
 )
 def test_a_day_that_would_come_out_as_night_is_told_with_the_option(empty, lux, name, warned):
     """A sun of strength 3 is 3 lux; a moon means to be one, and a light that is off is none."""
@@ -135,15 +122,6 @@ def test_a_day_that_would_come_out_as_night_is_told_with_the_option(empty, lux, 
     lines = told(translate(stage), "which is night")
     assert len(lines) == warned
     assert not warned or ("3 lux on open ground" in lines[0] and "--sun-lux 80000" in lines[0])
-
-
-def test_a_world_from_blender_without_sun_is_told_with_a_factor(empty):
-    stage = empty()
-    sky(stage, 1.0, name="env_light")
-    assert told(translate(stage), "night") == []
-    stage.SetMetadata("documentation", "Blender v5.0.1")
-    (line,) = told(translate(stage), "night")
-    assert "--light-scale 6000 " in line
 
 
 def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
@@ -203,15 +181,13 @@ def test_no_light_at_all_is_why_a_picture_is_black(empty):
     assert why_black(translate(stage)) is None
 
 
-@pytest.mark.parametrize("kind", ["Cube", "Sphere", "Mesh", "instance"])
+@pytest.mark.parametrize("kind", ["Sphere", "Mesh", "instance"])
 def test_a_camera_inside_of_a_solid_is_why_a_picture_is_black(empty, polygon_mesh, kind):
     """By name; not where a lamp is in there too, and not beside it."""
     stage = empty()
     sky(stage, 1000.0)
     path = "/Block"
-    if kind == "Cube":
-        shape = cube(stage, path, (0.2, 0, 0), 3.0)
-    elif kind == "Sphere":
+    if kind == "Sphere":
         shape = UsdGeom.Sphere.Define(stage, path)
         shape.CreateRadiusAttr(3.0)
         shape.AddTranslateOp().Set((0.2, 0, 0))
@@ -249,15 +225,3 @@ def test_nothing_before_the_camera_is_why_a_picture_is_black(empty):
     assert "everything lies behind the camera" in why_black(translate(stage))
     sky(stage, 1.0)
     assert why_black(translate(stage)) is None
-
-
-def test_a_near_plane_beyond_everything_is_why_a_picture_is_black(empty):
-    stage = empty()
-    sun(stage, 1000.0)
-    cube(stage, "/Wall", (0, 9, 0), 2.0)
-    camera = UsdGeom.Camera(stage.GetPrimAtPath("/Camera"))
-    camera.CreateClippingRangeAttr((9.0, 100.0))
-    assert why_black(translate(stage)) is None
-    camera.GetClippingRangeAttr().Set((10.5, 100.0))
-    why = why_black(translate(stage))
-    assert "near clipping of 10.5 m lies beyond everything before it, which ends at 10 m" in why

@@ -1,18 +1,11 @@
 """Draw modes: cards, bounds and origin stand for a model, where UsdGeomModelAPI says so."""
 
 import numpy as np
-import OpenImageIO
 import pytest
 from pxr import Usd, UsdGeom
+from support.looks import write
 
 from synfog_usd.translate import translate
-
-
-def write(path, pixels):
-    out = OpenImageIO.ImageOutput.create(str(path))
-    out.open(str(path), OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype)))
-    out.write_image(pixels)
-    out.close()
 
 
 @pytest.fixture
@@ -136,10 +129,3 @@ def test_instances_are_replaced_too(house):
     assert [len(shape["faces"]) for shape in shapes] == [144, 144]
     (group,) = [part for key, part in scene.world.items() if key.startswith("group_")]
     assert len(group["shape_0"]["faces"]) == 144
-
-
-def test_a_model_without_bounds_is_told(house):
-    stage, draw = house
-    stage.GetPrimAtPath("/Town/House/Body").SetActive(False)
-    scene, shapes = draw(modelDrawMode="cards")
-    assert shapes == [] and any("without bounds" in note.text for note in scene.notes)

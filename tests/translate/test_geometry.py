@@ -1,10 +1,9 @@
 """Meshes: area and winding survive triangulation, attributes stay with their corners."""
 
-import time
-
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
+from support.looks import painted, picture_of, write
 
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import subdivide, summary, translate
@@ -39,8 +38,7 @@ def tilted(flat, rng):
     return np.c_[flat, np.zeros(len(flat))] @ q.T + rng.uniform(-5, 5, 3), q[:, 2]
 
 
-@pytest.mark.parametrize("n", [4, 5, 6, 8, 13, 24, 60])
-@pytest.mark.parametrize("inner", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("n, inner", [(4, 0.15), (5, 1.0), (13, 0.4), (60, 0.15)])
 def test_triangles_cover_a_polygon_once(n, inner):
     """All triangles turn the polygon's way and their areas add up to the shoelace formula's."""
     rng = np.random.default_rng(n)
@@ -116,8 +114,7 @@ def dented_square(n):
 
 
 @pytest.mark.parametrize("shape", [spiral, comb, zigzag, dented_square])
-@pytest.mark.parametrize("n", [4_000, 10_000])
-def test_long_outlines_are_covered_once(shape, n):
+def test_long_outlines_are_covered_once(shape, n=4_000):
     """An outline of thousands of corners that no fan covers; cutting ears one by one took the cube of their number,
     which was hours.
     """
@@ -129,30 +126,6 @@ def test_long_outlines_are_covered_once(shape, n):
     assert not len(crossed) and abs(signed.sum()) == pytest.approx(shoelace(flat), abs=1e-9 * size) == pytest.approx(
         np.abs(signed).sum(), abs=1e-9 * size
     )
-
-
-def test_a_zigzag_of_100_000_corners_costs_what_a_star_does():
-    """Ears of a thin band can only be cut at its two ends: looked for all around, they took the square of its corners,
-    20 times a star's triangles.
-    """
-    took = []
-    for flat in (star(100_000, 0.5, np.random.default_rng(1)), zigzag(100_000)):
-        points = np.c_[flat, np.zeros(len(flat))]
-        began = time.process_time()
-        triangles, _, crossed = triangulate(points, np.array([len(flat)]), ONE, np.arange(len(flat)), np.array([True]))
-        took.append(time.process_time() - began)
-        areas = area_vectors(points, triangles)[:, 2]
-        assert not len(crossed) and np.abs(areas).sum() == pytest.approx(abs(shoelace(flat)), abs=1e-9)
-    assert took[1] < 4.0 * took[0]
-
-
-def test_a_long_outline_that_crosses_itself_is_a_fan_and_told():
-    """The band's last corner goes to the far side: no triangles have just its area."""
-    flat = zigzag(5_000)
-    flat[-1] = (1.5, 0.5)
-    points = np.c_[flat, np.zeros(len(flat))]
-    triangles, _, crossed = triangulate(points, np.array([len(flat)]), ONE, np.arange(len(flat)), np.array([True]))
-    assert crossed.tolist() == [0] and len(triangles) == len(flat) - 2 and (triangles[:, 0] == triangles[0, 0]).all()
 
 
 @pytest.mark.parametrize(
@@ -174,9 +147,9 @@ def test_triangles_turn_the_polygons_way_from_every_side(turn):
     np.testing.assert_allclose(area_vectors(points, triangles).sum(axis=0), newell, atol=1e-12)
 
 
-@pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 2, 4, 1, 3], [0, 3, 1, 4, 2, 5]])
+@pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 3, 1, 4, 2, 5]])
 def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
-    """A bow tie, a pentagram and a tangled hexagon: drawn as well as they can be, and noted with the number of the
+    """A bow tie and a tangled hexagon: drawn as well as they can be, and noted with the number of the
     face.
     """
     n = len(order)
@@ -223,7 +196,7 @@ def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_han
     ("Cone", {"radius": 1.5, "height": 4.0}, np.pi * 2.25 * 4 / 3),
     ("Capsule", {"radius": 0.5, "height": 2.0}, np.pi * 0.25 * 2 + 4 / 3 * np.pi * 0.125),
 ])  # fmt: skip
-@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("axis", ["X", "Z"])
 def test_implicit_shapes_hold_their_volume(empty, only_shape, name, size, volume, axis):
     """Closed forms; 48 segments lose 2 pi^2 / (3 * 48^2) = 0.29 % of a circle's area, 24 chords of a meridian (pi /
     24)^2 / 4 = 0.43 %.
@@ -289,32 +262,8 @@ def test_texture_coordinates_stay_with_their_corners(
 
 
 def bind_texture(stage, mesh, folder, varname):
-    import OpenImageIO
-
-    file = folder / "checks.png"
-    pixels = np.zeros((2, 2, 3), dtype=np.uint8)
-    pixels[0, 0] = pixels[1, 1] = 255
-    out = OpenImageIO.ImageOutput.create(str(file))
-    out.open(str(file), OpenImageIO.ImageSpec(2, 2, 3, "uint8"))
-    out.write_image(pixels)
-    out.close()
-    material = UsdShade.Material.Define(stage, "/Material")
-    surface = UsdShade.Shader.Define(stage, "/Material/Surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
-    picture = UsdShade.Shader.Define(stage, "/Material/Picture")
-    picture.CreateIdAttr("UsdUVTexture")
-    picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(str(file))
-    reader = UsdShade.Shader.Define(stage, "/Material/Reader")
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(varname)
-    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
-        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    )
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
-        picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
-    )
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    write(folder / "checks.png", 255 * np.eye(2, dtype=np.uint8)[..., None].repeat(3, axis=2))
+    painted(mesh.GetPrim(), diffuseColor=picture_of(stage, folder / "checks.png", varname))
 
 
 def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon_mesh, only_shape):
@@ -402,18 +351,6 @@ def test_a_loop_octahedron_touches_its_limit(empty, polygon_mesh, only_shape):
     assert any(note.path == "/Cage" and "loop" in note.text for note in scene.notes)
 
 
-def test_loop_on_quads_is_drawn_as_its_cage_with_a_warning(empty, polygon_mesh, only_shape):
-    """Loop divides triangles alone; a cube's corners stay where they are, with normals along the diagonals."""
-    stage = empty()
-    mesh = polygon_mesh(stage, "/Cage", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
-    mesh.GetSubdivisionSchemeAttr().Set("loop")
-    scene = translate(stage)
-    shape = only_shape(scene)
-    assert np.ptp(shape["positions"], axis=0).tolist() == [2.0, 2.0, 2.0]
-    assert (np.einsum("ij,ij->i", shape["normals"], shape["positions"] - [0, 5, 0]) > 1.6).all()
-    assert any(note.severity == "warning" and "loop" in note.text for note in scene.notes)
-
-
 def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
     """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run
     evenly; the flat one beside it stays flat.
@@ -432,13 +369,6 @@ def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, t
     assert len(shape["faces"]) == 2 * 2 * 4**3 and shape["face_normals"]
     np.testing.assert_allclose(y, 5.0 + np.minimum(x, 1.0) * z, atol=1e-6)
     np.testing.assert_allclose(shape["texcoords"], np.stack([x, z], axis=1), atol=1e-6)
-
-
-def test_bilinear_faces_that_are_flat_are_not_divided(empty, polygon_mesh, only_shape):
-    stage = empty()
-    mesh = polygon_mesh(stage, "/Box", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
-    mesh.GetSubdivisionSchemeAttr().Set("bilinear")
-    assert len(only_shape(translate(stage))["faces"]) == 12
 
 
 def test_small_meshes_of_one_topology_are_told_apart(empty, polygon_mesh):
@@ -520,13 +450,12 @@ def test_coordinates_and_holes_follow_a_subdivided_mesh(
     )
 
 
-@pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize(
     "interpolation, at_the_point, at_a_middle", [("varying", 1.0, 0.25), ("vertex", 16 / 36, None)]
 )
 @pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
 def test_varying_values_run_evenly_within_the_faces(
-    empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle, indexed
+    empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle
 ):
     """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it:
     to 16/36, by Loop to a half.
@@ -538,11 +467,8 @@ def test_varying_values_run_evenly_within_the_faces(
     mesh = polygon_mesh(stage, "/Sheet", points, [len(face) for face in faces], [k for face in faces for k in face])
     mesh.GetSubdivisionSchemeAttr().Set(scheme)
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, interpolation)
-    if indexed:
-        primvar.Set([(0, 0, 0), (1, 1, 1)])
-        primvar.SetIndices([int(k == 12) for k in range(25)])
-    else:
-        primvar.Set([(float(k == 12),) * 3 for k in range(25)])
+    primvar.Set([(0, 0, 0), (1, 1, 1)])
+    primvar.SetIndices([int(k == 12) for k in range(25)])
     shape = only_shape(translate(stage))
     x, _, z = shape["positions"].T
 
@@ -559,8 +485,6 @@ def test_varying_values_run_evenly_within_the_faces(
 @pytest.mark.parametrize("kind, values", [
     (Sdf.ValueTypeNames.Float3Array, [Gf.Vec3f(u, v, 9) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]),
     (Sdf.ValueTypeNames.FloatArray, [0, 0, 1, 0, 1, 1, 0, 1]),
-    (Sdf.ValueTypeNames.Double2Array, [(0, 0), (1, 0), (1, 1), (0, 1)]),
-    (Sdf.ValueTypeNames.TexCoord2hArray, [(0, 0), (1, 0), (1, 1), (0, 1)]),
 ])  # fmt: skip
 def test_coordinates_of_other_types_are_read(empty, polygon_mesh, only_shape, tmp_path, kind, values):
     """A third number is left out; plain numbers go two by two."""
@@ -582,22 +506,18 @@ def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
         [4] * 4,
         [0, 1, 6, 5, 1, 2, 7, 6, 2, 3, 8, 7, 3, 4, 9, 8],
     )
-    colors = {}
-    for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0))):
-        colors[name] = material = UsdShade.Material.Define(stage, f"/{name}")
-        surface = UsdShade.Shader.Define(stage, f"/{name}/Surface")
-        surface.CreateIdAttr("UsdPreviewSurface")
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
-        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(colors["Own"])
+    materials = {
+        name: painted(mesh.GetPrim(), f"/{name}", diffuseColor=color)
+        for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0)))
+    }
     for name, faces, family in (("Red", [0], "materialBind"), ("Blue", [1, 2], ""), ("Other", [3], "")):
         subset = UsdGeom.Subset.Define(stage, f"/Strip/{name}Part")
         subset.CreateElementTypeAttr("face")
         subset.CreateIndicesAttr(faces)
         if family:
             subset.CreateFamilyNameAttr(family)
-        if name in colors:
-            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(colors[name])
+        if name in materials:
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[name])
     scene = translate(stage)
     found = {}
     for part in (part for key, part in scene.world.items() if key.startswith("shape_")):
@@ -611,16 +531,6 @@ def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
         (0.0, 1.0, 0.0): pytest.approx(1.0),
     }
     assert len(scene.instances) == 1
-
-
-def test_varying_display_color_goes_to_the_vertices(empty, polygon_mesh, only_shape):
-    stage = empty()
-    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
-    mesh.CreateDisplayColorPrimvar("vertex").Set([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)])
-    scene = translate(stage)
-    shape = only_shape(scene)
-    np.testing.assert_allclose(shape["vertex_color"], [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
-    assert scene.world[shape["bsdf"]["id"]]["bsdf"]["reflectance"] == {"type": "mesh_attribute", "name": "vertex_color"}
 
 
 @pytest.mark.parametrize("points, counts, indices", [
@@ -678,9 +588,7 @@ def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape
 SQUARE = [(0, 5, 0), (2, 5, 0), (2, 5, 2), (0, 5, 2)]
 
 
-@pytest.mark.parametrize(
-    "kind", ["int[]", "double[]", "float[]", "int3[]", "double3[]", "half3[]", "int64[]", "point3d[]"]
-)
+@pytest.mark.parametrize("kind", ["int[]", "double3[]", "half3[]"])
 def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     """Threes, or plain numbers in threes."""
     values = SQUARE if "3" in kind else [number for point in SQUARE for number in point]
@@ -688,17 +596,11 @@ def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     np.testing.assert_array_equal(only_shape(scene)["positions"] + np.array(scene.origin_m), SQUARE)
 
 
-@pytest.mark.parametrize(
-    "line, name",
-    [
-        ("float normals = 3", "normals is a float, and a normal3f[] is wanted"),
-        ('string[] holeIndices = ["a"]', "holeIndices is a string[]"),
-    ],
-)
-def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape, line, name):
+def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape):
     """One such array refused the whole stage; now it is told by its prim, at each translation, and the file stays as it
     is.
     """
+    line, name = "float normals = 3", "normals is a float, and a normal3f[] is wanted"
     stage = opened(tmp_path, f"point3f[] points = {SQUARE}\n    {line}")
     for _ in range(2):
         scene = translate(stage)

@@ -4,7 +4,7 @@ import pytest
 from pxr import Sdf, Usd
 
 from synfog_usd.base.errors import StageError
-from synfog_usd.translate.lightgroup import authored_group, group_by_label
+from synfog_usd.translate.lightgroup import authored_group
 
 
 def prim_with(value, kind=Sdf.ValueTypeNames.String):
@@ -26,11 +26,3 @@ def test_a_name_that_cannot_be_a_channel_is_refused_with_its_prim(value):
     _stage, lamp = prim_with(value)
     with pytest.raises(StageError, match=r"/Car: synfog:lightGroup"):
         authored_group(lamp)
-
-
-@pytest.mark.parametrize(
-    "label, group", [("bus", "headlights"), ("pole", "street_lamps"), ("building", "other"), ("unlabeled", "other")]
-)
-def test_a_label_tells_the_group_of_a_lamp_without_one(label, group):
-    """Vehicles, poles, and the rest."""
-    assert group_by_label(label) == group

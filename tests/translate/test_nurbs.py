@@ -3,10 +3,10 @@
 from math import comb
 
 import numpy as np
-import OpenImageIO
 import pytest
-from pxr import Sdf, UsdGeom, UsdShade
+from pxr import UsdGeom
 from scipy.interpolate import BSpline
+from support.looks import painted, picture_of, with_st, write
 
 from synfog_usd.translate import translate
 
@@ -137,34 +137,9 @@ def test_a_patch_wears_pictures_by_its_parameters_or_its_own_coordinates(empty, 
     places = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0)]
     prim = patch(stage, [(x, 5, z) for x, z in places], (2, 2), (2, 2), ([0, 0, 1, 1],) * 2)
     if authored:
-        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set(
-            [(2 * x, 2 * z) for x, z in places]
-        )
-    picture = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(2, 2, 3, "uint8"))
-    picture.setpixel(0, 0, (1.0, 0.0, 0.0))
-    assert picture.write(str(tmp_path / "a.png"))
-    material = UsdShade.Material.Define(stage, "/Material")
-    surface, texture, reader = (
-        UsdShade.Shader.Define(stage, f"/Material/{name}") for name in ("Surface", "Texture", "Reader")
-    )
-    for shader, kind in (
-        (surface, "UsdPreviewSurface"),
-        (texture, "UsdUVTexture"),
-        (reader, "UsdPrimvarReader_float2"),
-    ):
-        shader.CreateIdAttr(kind)
-    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(str(tmp_path / "a.png"))
-    for name in ("wrapS", "wrapT"):
-        texture.CreateInput(name, Sdf.ValueTypeNames.Token).Set("repeat")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
-        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    )
-    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
-        texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
-    )
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-    UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+        with_st(prim, [(2 * x, 2 * z) for x, z in places])
+    write(tmp_path / "a.png", np.eye(2, dtype=np.uint8)[..., None].repeat(3, axis=2))
+    painted(prim.GetPrim(), diffuseColor=picture_of(stage, tmp_path / "a.png", wrapS="repeat", wrapT="repeat"))
     scene = translate(stage)
     shape = only_shape(scene)
     np.testing.assert_allclose(shape["texcoords"], (2 if authored else 1) * shape["positions"][:, [0, 2]], atol=1e-6)
@@ -210,16 +185,3 @@ def test_tetrahedra_are_drawn_by_their_outside(empty, only_shape, authored, orie
     assert len(shape["faces"]) == 12
     np.testing.assert_allclose(np.einsum("ij,ij->", p[shape["faces"][:, 0]], area_vectors(shape)) / 3, 1.0, rtol=1e-6)
     np.testing.assert_allclose(shape["vertex_color"][:, 0], p @ [1, 2, 4] / 7, atol=1e-6)
-
-
-def test_values_of_tetrahedra_are_told(empty):
-    stage = empty()
-    mesh = UsdGeom.TetMesh.Define(stage, "/Tets")
-    mesh.CreatePointsAttr([(0, 5, 0), (1, 5, 0), (0, 6, 0), (0, 5, 1)])
-    mesh.CreateTetVertexIndicesAttr([(0, 1, 2, 3)])
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform").Set(
-        [(1, 0, 0)] * 4
-    )
-    scene = translate(stage)
-    assert len(scene.world["shape_0"]["faces"]) == 4
-    assert any("tetrahedra" in note.text for note in scene.notes)

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdLux
 
-from synfog_usd.stage import override
-from synfog_usd.stage.rules import findings
 from synfog_usd.translate import translate
 
 BOX = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -106,18 +104,3 @@ def test_a_stage_with_x_up_is_drawn_with_x_up(empty, only_shape):
     assert [note.text for note in scene.notes if note.severity == "warning"] == [
         "upAxis is 'X', and USD knows Y and Z alone; drawn with X up"
     ]
-
-
-def test_an_up_axis_of_nonsense_is_told(empty):
-    stage = Usd.Stage.CreateInMemory()
-    stage.SetMetadata("upAxis", "W")
-    UsdGeom.Camera.Define(stage, "/Camera")
-    assert any("upAxis is 'W'" in note.text and "--up" in note.text for note in translate(stage).notes)
-    look = findings(stage)
-    assert all(one.severity != "error" for one in look)
-    override(stage, up="Z", metres_per_unit=0.01)
-    assert (
-        not any("upAxis" in note.text for note in translate(stage).notes)
-        and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
-    )
-    assert stage.GetRootLayer().GetPrimAtPath("/").GetInfo("upAxis") == "W"

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from synfog_usd.translate import loop, subdivide
-from synfog_usd.translate.subdivide import Cage, boundary_faces, cut_apart, levels, subdivided
+from synfog_usd.translate.subdivide import Cage, cut_apart, subdivided
 
 BOX = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -100,24 +100,6 @@ def test_ends_of_a_sheet_follow_the_boundary_rule(sharp_ends, wanted):
     points, counts, indices = sheet(4, np.zeros((4, 4)))
     fine = subdivided(points, Cage(counts, indices, sharp_ends=sharp_ends), 2).points
     np.testing.assert_allclose(fine[0], [wanted, wanted, 0.0], atol=1e-12)
-
-
-def test_faces_at_the_boundary_are_known():
-    """Of 3 x 3 faces only the middle one touches no boundary."""
-    points, counts, indices = sheet(4, np.zeros((4, 4)))
-    np.testing.assert_array_equal(boundary_faces(Cage(counts, indices), len(points)), np.arange(9) != 4)
-
-
-def test_patches_part_at_creases_alone():
-    """A cube with sharp edges has 6 sides of 25 corner points after two steps; a smooth one shares all 98."""
-    assert len(np.unique(subdivided(BOX, cube(creases=EDGES, crease_sharpness=np.full(12, 10.0)), 2).smooth_of)) == 150
-    assert len(np.unique(subdivided(BOX, cube(), 2).smooth_of)) == 98
-
-
-def test_levels_shrink_with_faces():
-    """At most 20 000 faces are made beyond the first level."""
-    assert [levels(n) for n in (6, 300, 1000, 2000, 50_000, 10**6)] == [3, 3, 2, 1, 1, 1]
-    assert [levels(n, even=True) for n in (6, 250_000, 250_001)] == [3, 1, 0]
 
 
 def triangles(size, heights):

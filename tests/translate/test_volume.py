@@ -15,8 +15,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 
 from synfog_usd.base.errors import StageError
-from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume
-from synfog_usd.fog.phase import Droplets
+from synfog_usd.fog import Fog, FogMedium, FogVolume
 from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
@@ -79,7 +78,7 @@ def test_extinction_wins_over_visibility_and_defaults_hold(empty):
     assert any(note.path == "/B" and "300 m" in note.text for note in scene.notes)
 
 
-@pytest.mark.parametrize("kind", ["Half", "Float", "Double", "Int", "UChar", "Int64"])
+@pytest.mark.parametrize("kind", ["Half", "UChar"])
 def test_any_numeric_type_will_do(empty, kind):
     stage = empty()
     prim = fog_box(stage, "/Fog").GetPrim()
@@ -87,10 +86,7 @@ def test_any_numeric_type_will_do(empty, kind):
     np.testing.assert_allclose(translate(stage).fog[0].medium.visibility_m, 200.0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["synfog:fog:mor", "userProperties:synfog_fog_mor", "userProperties:synfog_mor", "userProperties:synfog:fog:mor"],
-)
+@pytest.mark.parametrize("name", ["synfog:fog:mor", "userProperties:synfog_mor", "userProperties:synfog:fog:mor"])
 @pytest.mark.parametrize("on_parent", [False, True])
 def test_custom_properties_count_also_on_the_parent(empty, polygon_mesh, name, on_parent):
     """Blender puts custom properties on the object's Xform, not on its mesh, and applies no schema."""
@@ -121,58 +117,27 @@ def test_fog_can_be_switched_off(empty, how):
     assert scene.fog == () and not any(key.startswith("shape_") for key in scene.world)
 
 
-@pytest.mark.parametrize(
-    "name, value",
-    [
-        ("mor", 0.0),
-        ("mor", -5.0),
-        ("mor", math.nan),
-        ("mor", math.inf),
-        ("mor", 1e-4),
-        ("sigma_t", -0.1),
-        ("sigma_t", math.nan),
-        ("sigma_t", 1e4),
-        ("contrast", 0.0),
-        ("contrast", 1.0),
-        ("albedo", -0.1),
-        ("albedo", 1.5),
-        ("albedo", math.nan),
-        ("g", 1.0),
-        ("g", -1.0),
-        ("g", math.nan),
-        ("scaleHeight", 0.0),
-        ("scaleHeight", -1.0),
-        ("angstrom", 9.0),
-        ("angstrom", math.nan),
-        ("phase", "rayleigh"),
-        ("profile", "linear"),
-        ("morr", 100.0),
-    ],
-)
-def test_bad_values_are_refused_with_prim_and_attribute(empty, name, value):
-    stage = empty()
-    fog_box(stage, "/World_Fog", **{name: value})
-    with pytest.raises(StageError, match=rf"/World_Fog.*synfog:fog:{name}"):
-        translate(stage)
+BAD = {"mor": [0.0, -5.0, math.nan, math.inf, 1e-4], "sigma_t": [-0.1, math.nan, 1e4], "contrast": [0.0, 1.0]}
+BAD |= {"albedo": [-0.1, 1.5, math.nan], "g": [1.0, -1.0, math.nan], "scaleHeight": [0.0, -1.0]}
+BAD |= {"angstrom": [9.0, math.nan], "phase": ["rayleigh"], "profile": ["linear"], "morr": [100.0]}
 
 
-@pytest.mark.parametrize(
-    "phase, diameter",
-    [("droplets", 5.0), ("droplets", 60.0), ("droplets", None), ("mie", 0.0), ("mie", 1e4), ("mie", None)],
-)
+@pytest.mark.parametrize("name", BAD)
+def test_bad_values_are_refused_with_prim_and_attribute(empty, name):
+    for value in BAD[name]:
+        stage = empty()
+        fog_box(stage, "/World_Fog", **{name: value})
+        with pytest.raises(StageError, match=rf"/World_Fog.*synfog:fog:{name}"):
+            translate(stage)
+
+
+@pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", None), ("mie", 1e4)])
 def test_droplets_of_no_size_are_refused(empty, phase, diameter):
     """A phase function that is made from the diameter needs one, within the range of its fit or series."""
     stage = empty()
     fog_box(stage, "/Fog", phase=phase, **({} if diameter is None else {"dropletDiameter": diameter}))
     with pytest.raises(StageError, match=r"/Fog: synfog:fog:dropletDiameter = .*(5|6|0.1)"):
         translate(stage)
-
-
-def test_droplets_shape_the_phase_function(empty):
-    stage = empty()
-    fog_box(stage, "/Fog", phase="droplets", dropletDiameter=8.0)
-    (volume,) = translate(stage).fog
-    assert volume.medium.phase == Droplets(8.0)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("miepython") is None, reason="needs miepython")
@@ -189,22 +154,6 @@ def test_mie_without_miepython_says_what_to_install(empty, monkeypatch):
     fog_box(stage, "/Fog", phase="mie", dropletDiameter=8.0)
     with pytest.raises(StageError, match=r"/Fog: .*pip install miepython"):
         translate(stage)
-
-
-def test_what_is_not_drawn_is_noted(empty):
-    """Colour by wavelength, a diameter beside g, g beside a diameter, a grid beside another profile."""
-    stage = empty()
-    one = fog_box(stage, "/One", (0, 50, 0), dropletDiameter=8.0, angstrom=1.3)
-    one.GetPrim().CreateAttribute("synfog:fog:densityGrid", TYPES.Asset).Set("grid.npy")
-    fog_box(stage, "/Other", (0, 100, 0), phase="droplets", dropletDiameter=8.0, g=0.5)
-    scene = translate(stage)
-    assert [volume.medium.angstrom for volume in scene.fog] == [1.3, 0.0]
-    notes = [(note.severity, note.path, note.text) for note in scene.notes]
-    for severity, path, words in (
-        ("info", "/One", "550 nm"), ("warning", "/One", "not drawn with profile 'uniform'"),
-        ("info", "/One", "diameter is not used"), ("info", "/Other", "g is not used"),
-    ):  # fmt: skip
-        assert sum(note[:2] == (severity, path) and words in note[2] for note in notes) == 1, words
 
 
 @pytest.fixture
@@ -226,7 +175,7 @@ def saved(tmp_path):
     return make
 
 
-@pytest.mark.parametrize("name", ["grid.npy", "grid.npz", "deep/grid.npy"])
+@pytest.mark.parametrize("name", ["grid.npz", "deep/grid.npy"])
 def test_a_grid_beside_the_stage_is_read(saved, name):
     values = np.random.default_rng(0).random((2, 3, 4)).astype(np.float32)
     stage, folder = saved("./" + name)
@@ -242,15 +191,12 @@ def test_a_grid_beside_the_stage_is_read(saved, name):
 GRIDS = {
     "nan.npy": lambda path: np.save(path, np.full((2, 2, 2), np.nan)),
     "negative.npy": lambda path: np.save(path, np.full((2, 2, 2), -0.1)),
-    "big.npy": lambda path: np.save(path, np.full((2, 2, 2), 1.1)),
     "flat.npy": lambda path: np.save(path, np.ones((2, 2))),
     "objects.npy": lambda path: np.save(path, np.array([[[{}]]]), allow_pickle=True),
     "two.npz": lambda path: np.savez(path, a=np.ones((1, 1, 1)), b=np.ones((1, 1, 1))),
     "objects.npz": lambda path: np.savez(path, np.array([[[{}]]])),
     "text.npy": lambda path: path.write_text("0.5"),
     "text.npz": lambda path: path.write_text("0.5"),
-    "empty.npy": lambda path: path.write_bytes(b""),
-    "grid.vdb": lambda path: path.write_bytes(b"vdb"),
     "claims.npy": lambda path: path.write_bytes(_header((1 << 13,) * 3)),
     "claims.npz": lambda path: _zipped(path, _header((1 << 13,) * 3)),
     "bomb.npz": lambda path: _zipped(path, _header((1 << 7, 1 << 7, 1 << 7)) + bytes(1 << 23) + bytes(1 << 13)),
@@ -298,15 +244,7 @@ def test_a_grid_lies_below_the_stage(saved, empty, tmp_path, how):
 
 
 @pytest.mark.parametrize(
-    "near, y, refused",
-    [
-        (0.1, 10.05, True),
-        (0.01, 10.05, False),
-        (0.1, 10.2, False),
-        (0.1, -10.05, False),
-        (0.1, -9.95, True),
-        (0.1, 9.95, False),
-    ],
+    "near, y, refused", [(0.1, 10.05, True), (0.01, 10.05, False), (0.1, -10.05, False), (0.1, -9.95, True)]
 )
 def test_fog_that_the_near_plane_cuts_is_refused(empty, near, y, refused):
     """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead; not one farther,
@@ -335,26 +273,12 @@ def test_a_camera_inside_whose_view_leaves_the_fog_before_the_near_plane_is_refu
         assert translate(stage).fog
 
 
-@pytest.mark.parametrize("scale", [(10.0, 10.0, 0.0), (0.0, 0.0, 0.0), (10.0, 10.0, 1e-5)])
+@pytest.mark.parametrize("scale", [(0.0, 0.0, 0.0), (10.0, 10.0, 1e-5)])
 def test_a_boundary_without_volume_is_refused(empty, scale):
     stage = empty()
     cube = fog_box(stage, "/Flat")
     cube.GetPrim().GetAttribute("xformOp:scale").Set(scale)
     with pytest.raises(StageError, match=r"/Flat: .*thick holds no fog"):
-        translate(stage)
-
-
-def test_a_box_of_no_size_is_refused(empty):
-    stage = empty()
-    fog_box(stage, "/Nothing").GetSizeAttr().Set(0.0)
-    with pytest.raises(StageError, match=r"/Nothing: .*holds no fog"):
-        translate(stage)
-
-
-def test_a_word_in_place_of_a_number_is_refused(empty):
-    stage = empty()
-    fog_box(stage, "/Fog").GetPrim().CreateAttribute("userProperties:synfog_mor", TYPES.String).Set("thick")
-    with pytest.raises(StageError, match=r"/Fog: userProperties:synfog_mor = 'thick' is not a finite number"):
         translate(stage)
 
 
@@ -466,15 +390,12 @@ def test_a_box_with_an_empty_material_is_fog_only_where_that_is_meant(empty, pol
 
 
 @pytest.mark.parametrize("closed", [True, False])
-@pytest.mark.parametrize("named", [True, False])
-def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, named, closed):
+def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, closed):
     """A material with an output for volumes and none for surfaces, whatever the mesh is called; one that is not closed
     is left out with advice.
     """
     stage = empty()
-    mesh = polygon_mesh(
-        stage, "/Haze" if named else "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20]
-    )
+    mesh = polygon_mesh(stage, "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20])
     mesh.AddScaleOp().Set((40.0, 40.0, 20.0))
     material = UsdShade.Material.Define(stage, "/Air")
     shader = UsdShade.Shader.Define(stage, "/Air/Volume")
@@ -563,22 +484,8 @@ def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):
     assert (tmp_path / "a" / "volumes" / "bank.npz") in dependencies(stage)
 
 
-def test_an_openvdb_volume_without_its_npz_is_told_what_to_run(tmp_path):
-    scene = translate(vdb_stage(tmp_path / "a"))
-    (told,) = [note for note in scene.notes if note.path == "/Bank"]
-    assert scene.fog == () and told.severity == "warning" and "Volume is not drawn" in told.text
-    assert f"blender --background --python vdb2npz.py -- {tmp_path / 'a' / 'volumes' / 'bank.vdb'}" in told.text
-
-
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"density": np.full((1, 1, 1), 2.0)},
-        {"low": np.zeros(2)},
-        {"high": np.full(3, -1e9)},
-        {"largest": np.nan},
-        {"largest": None},
-    ],
+    "change", [{"density": np.full((1, 1, 1), 2.0)}, {"high": np.full(3, -1e9)}, {"largest": None}]
 )
 def test_a_damaged_npz_of_a_volume_is_refused(tmp_path, change):
     arrays = {name: value for name, value in (vdb_arrays() | change).items() if value is not None}
@@ -668,58 +575,6 @@ def test_the_exported_fog_box_is_fog():
         if key.startswith(("shape_", "light_"))
     )
     assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["photometric"]
-
-
-def test_a_mesh_that_is_a_box_becomes_one():
-    """Turned, stretched and moved boxes are told from their eight corners, with their volume; a bent one is not
-    mistaken for one.
-    """
-    import trimesh
-
-    from synfog_usd.translate.volume import _mesh_boundary
-
-    draw = np.random.default_rng(3)
-    for _ in range(50):
-        edges = draw.uniform(0.5, 40.0, 3)
-        solid = trimesh.creation.box(
-            extents=edges, transform=trimesh.transformations.random_rotation_matrix(draw.random(3))
-        )
-        solid.apply_translation(draw.uniform(-50, 50, 3))
-        found = _mesh_boundary(np.asarray(solid.vertices), np.asarray(solid.faces), "/Fog")
-        assert found.kind == "box"
-        np.testing.assert_allclose(8 * abs(np.linalg.det(found.to_world[:3, :3])), edges.prod(), rtol=1e-9)
-        inside = solid.vertices.mean(axis=0) + 0.98 * (solid.vertices - solid.vertices.mean(axis=0))
-        outside = solid.vertices.mean(axis=0) + 1.02 * (solid.vertices - solid.vertices.mean(axis=0))
-        assert found.contains(inside).all() and not found.contains(outside).any()
-    bent = trimesh.creation.box()
-    corners = np.asarray(bent.vertices).copy()
-    corners[0] *= 1.5
-    assert _mesh_boundary(corners, np.asarray(bent.faces), "/Fog").kind == "mesh"
-
-
-def test_nested_apart_and_crossing_fogs_are_told_apart():
-    """A bank within a layer is nested, one far away stands alone, one that overlaps crosses."""
-    outer, bank, far, across = (FogVolume(name, box(*where), FogMedium(0.01)) for name, where in [
-        ("/Outer", (10.0,)), ("/Bank", (1.0, (3, 0, 0))), ("/Far", (1.0, (30, 0, 0))), ("/Across", (4.0, (9, 0, 0))),
-    ])  # fmt: skip
-    assert [made.parent for made in volume.nested([outer, bank, far])] == [None, 0, None]
-    with pytest.raises(volume.FogError, match="/Outer and /Across: fog boundaries that cut through each other; put"):
-        volume.nested([outer, bank, across])
-
-
-def test_many_banks_are_looked_at_by_what_they_touch(monkeypatch):
-    """400 banks in one layer: each asks about its points in those that it meets, all at once; by pairs it was 160 000
-    questions.
-    """
-    asked = []
-    contains = Boundary.contains
-    monkeypatch.setattr(
-        Boundary, "contains", lambda self, points: (asked.append(len(points)), contains(self, points))[1]
-    )
-    banks = [FogVolume(f"/B{n}", box(1.0, (4.0 * (n % 20), 4.0 * (n // 20), 0.0)), FogMedium(0.01)) for n in range(400)]
-    made = volume.nested([FogVolume("/Layer", box(200.0), FogMedium(0.001)), *banks])
-    assert [one.parent for one in made] == [None, *[0] * 400]
-    assert len(asked) <= 2 * 401 and sum(asked) == 26 * 2 * 800
 
 
 def test_more_pairs_of_fogs_than_can_be_looked_at_are_refused(monkeypatch):

@@ -1,16 +1,14 @@
 """Wrap modes: each direction's own, as a lookup in the bare picture says."""
 
 import numpy as np
-import OpenImageIO
 import pytest
-from pxr import Sdf, UsdGeom, UsdShade
+from support.looks import SQUARE, painted, picture_of, with_st, write
 
 from synfog_usd.render import backend
 from synfog_usd.render.load import make_bsdf
 from synfog_usd.translate import translate
 from synfog_usd.translate.wrap import wrapped
 
-TYPES = Sdf.ValueTypeNames
 PICTURE = np.random.default_rng(7).uniform(0.1, 1.0, (3, 5, 1)).astype(np.float32)
 MODES = ("repeat", "mirror", "clamp", "black")
 OUTSIDE = np.array([0.05], dtype=np.float32)
@@ -58,38 +56,16 @@ def test_every_pair_of_modes_shows_what_each_says(wrap_u, wrap_v):
 def stage_with(empty, polygon_mesh, file, **inputs):
     """A quad whose coordinates run from -1 to 2, with a picture."""
     stage = empty()
-    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set(
-        [(-1, -1), (2, -1), (2, 2), (-1, 2)]
-    )
-    material = UsdShade.Material.Define(stage, "/Material")
-    surface = UsdShade.Shader.Define(stage, "/Material/Surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
-    picture = UsdShade.Shader.Define(stage, "/Material/Picture")
-    picture.CreateIdAttr("UsdUVTexture")
-    picture.CreateInput("file", TYPES.Asset).Set(str(file))
-    for name, value in inputs.items():
-        picture.CreateInput(name, TYPES.Token).Set(value)
-    reader = UsdShade.Shader.Define(stage, "/Material/Reader")
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", TYPES.String).Set("st")
-    picture.CreateInput("st", TYPES.Float2).ConnectToSource(reader.CreateOutput("result", TYPES.Float2))
-    surface.CreateInput("diffuseColor", TYPES.Color3f).ConnectToSource(picture.CreateOutput("rgb", TYPES.Float3))
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    mesh = with_st(polygon_mesh(stage, "/Quad", SQUARE, [4], [0, 1, 2, 3]), [(-1, -1), (2, -1), (2, 2), (-1, 2)])
+    painted(mesh.GetPrim(), diffuseColor=picture_of(stage, file, **inputs))
     return stage
 
 
-def write(path, modes=""):
-    spec = OpenImageIO.ImageSpec(8, 8, 3, "half")
-    if modes:
-        spec.attribute("wrapmodes", modes)
-    out = OpenImageIO.ImageOutput.create(str(path))
-    out.open(str(path), spec)
-    pixels = np.full((8, 8, 3), 0.5, dtype=np.float32)
+def corner(path, **modes):
+    """Write a picture whose upper left quarter is brighter."""
+    pixels = np.full((8, 8, 3), 0.5, dtype=np.float16)
     pixels[:4, :4] = 0.75
-    out.write_image(pixels)
-    out.close()
+    write(path, pixels, **modes)
 
 
 @pytest.mark.parametrize("modes, mode", [("periodic,periodic", "repeat"), ("mirror,mirror", "mirror"), ("", "clamp")])
@@ -97,7 +73,7 @@ def test_modes_that_nobody_authored_are_the_files_or_black(empty, polygon_mesh, 
     """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide, and a warning tells that
     coordinates reach it.
     """
-    write(tmp_path / "a.exr", modes)
+    corner(tmp_path / "a.exr", **({"wrapmodes": modes} if modes else {}))
     scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr"))
     made = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"]
     assert made["wrap_mode"] == mode
@@ -109,7 +85,7 @@ def test_modes_that_nobody_authored_are_the_files_or_black(empty, polygon_mesh, 
 @pytest.mark.parametrize("wraps", [("black", "black"), ("repeat", "clamp"), ("mirror", "black")])
 def test_mitsuba_shows_it_so(empty, polygon_mesh, tmp_path, wraps):
     """The renderer's own texture at the mesh's coordinates, at the middles of texels beyond the square."""
-    write(tmp_path / "a.exr")
+    corner(tmp_path / "a.exr")
     scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr", wrapS=wraps[0], wrapT=wraps[1]))
     backend.start("auto")
     mi = backend.mitsuba()
