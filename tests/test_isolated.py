@@ -265,17 +265,14 @@ def test_what_only_pythonpath_has_is_told_in_a_line(tmp_path):
     assert done.returncode == 1 and "Traceback" in done.stderr
 
 
-@pytest.mark.parametrize(
-    "variable, value, flags, asks, said",
-    [
-        ("PYTHONDONTWRITEBYTECODE", "1", (), "sys.dont_write_bytecode", "True"),
-        ("PYTHONUNBUFFERED", "1", (), "'-u' in sys.orig_argv", "True"),
-        ("PYTHONUTF8", "1", (), "sys.flags.utf8_mode", "1"),
-        ("PYTHONIOENCODING", "latin-1", (), "sys.stdout.encoding", "latin-1"),
-        ("PYTHONWARNINGS", "error", (), "sys.warnoptions", "['error']"),
-        ("PYTHONOPTIMIZE", "", ("-O",), "sys.flags.optimize", "1"),
-    ],
-)
+@pytest.mark.parametrize("variable, value, flags, asks, said", [
+    ("PYTHONDONTWRITEBYTECODE", "1", (), "sys.dont_write_bytecode", "True"),
+    ("PYTHONUNBUFFERED", "1", (), "'-u' in sys.orig_argv", "True"),
+    ("PYTHONUTF8", "1", (), "sys.flags.utf8_mode", "1"),
+    ("PYTHONIOENCODING", "latin-1", (), "sys.stdout.encoding", "latin-1"),
+    ("PYTHONWARNINGS", "error", (), "sys.warnoptions", "['error']"),
+    ("PYTHONOPTIMIZE", "", ("-O",), "sys.flags.optimize", "1"),
+])  # fmt: skip
 def test_a_child_is_begun_with_its_parents_settings(tmp_path, variable, value, flags, asks, said):
     """What -I would drop of variables and flags, but for places of code and PYTHONHASHSEED."""
     assert asked(asks, place=tmp_path, env=with_us(**{variable: value}), begun_with=flags) == said

@@ -143,20 +143,17 @@ def test_authored_pairs_are_joined_by_straight_lines_and_go_on_as_they_end():
     assert [at(curve, nm) for nm in (380, 450, 600, 780)] == pytest.approx([0.1, 0.2, 0.25, 0.2])
 
 
-@pytest.mark.parametrize(
-    "pairs, words",
-    [
-        ([(400, 0.1), (400, 0.2), (700, 0.3)], "do not rise"),
-        ([(0.4, 0.1), (0.7, 0.2)], "micrometres"),
-        ([(450, 0.1), (650, 0.2)], "covers 450 to 650 nm"),
-        ([(400, 0.1), (700, 1.2)], "0 to 1"),
-        ([(400, -0.1), (700, 0.2)], "-0.1 to 0.2"),
-        ([(400, 0.0), (700, 0.0)], "not all 0"),
-        ([(400, np.nan), (700, 0.2)], "not finite"),
-        ([(400, 0.1)], "two or more pairs"),
-        ([400, 700], "two or more pairs"),
-    ],
-)
+@pytest.mark.parametrize("pairs, words", [
+    ([(400, 0.1), (400, 0.2), (700, 0.3)], "do not rise"),
+    ([(0.4, 0.1), (0.7, 0.2)], "micrometres"),
+    ([(450, 0.1), (650, 0.2)], "covers 450 to 650 nm"),
+    ([(400, 0.1), (700, 1.2)], "0 to 1"),
+    ([(400, -0.1), (700, 0.2)], "-0.1 to 0.2"),
+    ([(400, 0.0), (700, 0.0)], "not all 0"),
+    ([(400, np.nan), (700, 0.2)], "not finite"),
+    ([(400, 0.1)], "two or more pairs"),
+    ([400, 700], "two or more pairs"),
+])  # fmt: skip
 def test_what_is_no_spectrum_is_refused(pairs, words):
     with pytest.raises(ParameterError, match=words):
         spectra.spectrum_of_pairs(pairs, most=1.0)

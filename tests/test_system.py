@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path, PureWindowsPath
 
 import pytest
@@ -145,16 +144,6 @@ def test_limits_leave_nothing_behind():
     assert here.wait() == 0
 
 
-def test_a_child_sees_that_its_parent_is_gone(monkeypatch):
-    """macOS's way: the number of the parent is another one."""
-    parents = [7, 7, 1]
-    monkeypatch.setattr(os, "getppid", lambda: parents.pop(0))
-    monkeypatch.setattr(system, "LOOK_EVERY_S", 0.01)
-    began = time.monotonic()
-    system._looks_for(7)
-    assert not parents and time.monotonic() > began
-
-
 def test_codes_of_windows_are_told_as_causes():
     """An access violation as `subprocess` gives it there is a death with a cause; 2 and 130 are exit codes."""
     assert [system.died(code) for code in (0, 2, 130, -11)] == [0, 2, 130, -11]
@@ -220,22 +209,6 @@ def test_files_that_a_container_keeps_do_not_count_as_used(tmp_path):
     (tmp_path / "memory.max").write_text("max\n", encoding="ascii")
     with pytest.raises(ValueError, match="max"):
         system._free_in_container(tmp_path)
-
-
-def test_this_machine_has_some_memory_free():
-    assert 1e7 < system.free_memory() < 1e15
-
-
-@pytest.mark.parametrize("error", [TypeError, AttributeError, OSError])
-def test_memory_is_left_alone_where_the_library_is_another(monkeypatch, error):
-    """Windows' loader wants a name (TypeError), macOS' library has no mallopt (AttributeError)."""
-
-    def none(name):
-        raise error("no such library")
-
-    monkeypatch.setattr(system.ctypes, "CDLL", none)
-    system.keep_memory.__wrapped__()
-    system.give_back()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's allocator")

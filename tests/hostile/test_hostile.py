@@ -4,6 +4,7 @@ What a user runs is the command line, so the gravest go through it; each must en
 line and exit code 2, uncomposed and with little memory.
 """
 
+import json
 import os
 import random
 import re
@@ -17,17 +18,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 from support import cli, crates
 from support.hostile import png
+from support.looks import painted, picture_of, with_st
 from support.memory import at_peak
 
 from synfog_usd.base import system
 from synfog_usd.base.errors import StageError
-from synfog_usd.base.fence import Fence
 from synfog_usd.dataset.check import look
-from synfog_usd.scene import MANY_LIT
-from synfog_usd.stage import budget, check, open_stage, survey
+from synfog_usd.stage import budget, open_stage
 from synfog_usd.translate import translate
 
 HEAD = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\n'
@@ -53,71 +53,75 @@ def bomb(levels, *, instanceable, arc="references"):
     return text
 
 
-@pytest.fixture
-def uncomposed(monkeypatch):
-    """USD composes no stage in this test: whoever asks it to is an error that is none of ours."""
+def usd(body="", *, head="", name="R"):
+    """A layer whose default prim has this name."""
+    return f'#usda 1.0\n(\n    defaultPrim = "{name}"\n{head})\n{body}'
+
+
+def prim(arcs, inner="", name="A"):
+    return f'def "{name}" (\n    {arcs}\n)\n{{\n{inner}}}\n'
+
+
+def pairs(level):
+    """Two prims that refer to the layer below."""
+    return "".join(prim(f"references = @./l{level - 1}.usda@", name=name) for name in "ab")
+
+
+def stacked(levels, *names):
+    """Layers of levels, each with all of the next level below it."""
+    for level in range(levels):
+        below = ", ".join(f"@./{name}{level + 1}.usda@" for name in names) if level < levels - 1 else ""
+        for name in names:
+            yield f"{name}{level}.usda", f"#usda 1.0\n(\n    subLayers = [{below}]\n)\n"
+
+
+CHAIN = "".join(prim(f"references = </A{n + 1}>", name=f"A{n}") for n in range(3000)) + prim("", name="A3000")
+DOUBLED = (prim(f"references = [</a{n + 1}>, </b{n + 1}>]", name=f"{name}{n}") for n in range(30) for name in "ab")
+BOMBS = {
+    **{arc: {"a0.usda": bomb(30, instanceable=False, arc=arc)} for arc in ("references", "payload", "specializes")},
+    "many files": {f"l{n}.usda": usd(f'def Xform "R"\n{{\n{pairs(n)}}}\n') for n in range(1, 31)}
+    | {"l0.usda": usd('def Cube "R"\n{\n}\n'), "a0.usda": usd(prim("references = @./l30.usda@", name="R"))},
+    "no children": {"a0.usda": HEAD + "".join(DOUBLED)},
+    "sublayers": dict(stacked(21, "a", "b")),
+    "layers twice": dict(stacked(12, "a", "a")),
+    "a chain": {"a0.usda": HEAD + CHAIN},
+    "a tower": {"a0.usda": "#usda 1.0\n" + 'def Xform "d" {\n' * 5000 + "}\n" * 5000},
+}
+WORDS = {
+    "sublayers": "its sublayers unfold to",
+    "layers twice": "its sublayers unfold to 4 095 layers; at most 2000 are composed: list each once",
+    "a chain": "follow one another more than 200 deep",
+    "a tower": "nested deeper than 256",
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_counted_and_not_composed(tmp_path, monkeypatch, name):
+    """2^30 prims, references or layers from 3 kB: refused in one line; whoever composes a stage here is an error."""
     monkeypatch.setattr(Usd.Stage, "Open", None)
-
-
-@pytest.mark.usefixtures("uncomposed")
-@pytest.mark.parametrize("arc", ["references", "payload", "inherits", "specializes"])
-def test_a_bomb_of_arcs_is_counted_and_not_composed(tmp_path, arc):
-    """2^30 prims from 3 kB: refused with the number that they unfold to."""
-    path = written(tmp_path / "bomb.usda", bomb(30, instanceable=False, arc=arc))
-    with pytest.raises(
-        StageError,
-        match=r"bomb.usda: unfolds to \d+ \d\d\d \d\d\d \d\d\d prims .*; at most 100000 .*SYNFOG_USD_LARGE=1",
-    ) as caught:
-        open_stage(path)
+    for file, text in BOMBS[name].items():
+        written(tmp_path / file, text)
+    unfolds = r"a0.usda: unfolds to \d+( \d\d\d)+ prims .*; at most 100000 .*SYNFOG_USD_LARGE=1"
+    with pytest.raises(StageError, match=WORDS.get(name, unfolds)) as caught:
+        open_stage(tmp_path / "a0.usda")
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("trust, refused", [("", True), ("0", True), ("1", False)])
-def test_who_trusts_a_stage_may_compose_more(tmp_path, monkeypatch, trust, refused):
+def test_who_trusts_a_stage_may_compose_more_up_to_an_end(tmp_path, monkeypatch):
     """Sixteen prims and their references are within two million and beyond ten."""
     monkeypatch.setattr(budget, "MAX_PRIMS", 10)
-    monkeypatch.setenv(budget.TRUSTED, trust)
     path = written(tmp_path / "small.usda", bomb(3, instanceable=False))
-    if refused:
+    for trust in ("", "0"):
+        monkeypatch.setenv(budget.TRUSTED, trust)
         with pytest.raises(
             StageError, match=r"at most 10 are .* set SYNFOG_USD_LARGE=1 if .* \(at most 2000000 then\)"
         ):
             open_stage(path)
-    else:
-        assert budget.check_stage(open_stage(path)).shapes == 1 + 2 + 4 + 8
-
-
-def test_trust_has_an_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(budget, "MAX_PRIMS_TRUSTED", 10)
     monkeypatch.setenv(budget.TRUSTED, "1")
+    assert budget.check_stage(open_stage(path)).shapes == 1 + 2 + 4 + 8
+    monkeypatch.setattr(budget, "MAX_PRIMS_TRUSTED", 10)
     with pytest.raises(StageError, match=r"at most 10 are composed: refer to fewer things, make .* instanceable$"):
-        open_stage(written(tmp_path / "small.usda", bomb(3, instanceable=False)))
-
-
-def test_a_bomb_over_many_files_is_counted_too(tmp_path):
-    for level in range(1, 31):
-        below = "\n".join(
-            f'    def Xform "{name}" (\n        references = @./l{level - 1}.usda@\n    )\n    {{\n    }}'
-            for name in "ab"
-        )
-        written(
-            tmp_path / f"l{level}.usda", f'#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Xform "R"\n{{\n{below}\n}}\n'
-        )
-    written(tmp_path / "l0.usda", '#usda 1.0\n(\n    defaultPrim = "R"\n)\ndef Cube "R"\n{\n}\n')
-    with pytest.raises(StageError, match=r"l30.usda: unfolds to"):
-        open_stage(tmp_path / "l30.usda")
-
-
-def test_the_count_is_that_of_usd(tmp_path):
-    """Each prim that USD composes counts once, and each reference that leads to one."""
-    for levels in (3, 6):
-        path = written(tmp_path / f"{levels}.usda", bomb(levels, instanceable=False))
-        found = survey._Survey(Fence.around(path))
-        name = found.add(str(path), "")
-        found.read_all()
-        stage = Usd.Stage.Open(str(path))
-        prims = list(stage.Traverse())
-        assert found.stack(name, "/", 0) == len(prims) + sum(prim.GetName() in ("a", "b") for prim in prims)
+        open_stage(path)
 
 
 def test_an_asset_that_makes_itself_an_instance_counts_once(tmp_path):
@@ -132,27 +136,6 @@ def test_an_asset_that_makes_itself_an_instance_counts_once(tmp_path):
     )
     stage = open_stage(written(tmp_path / "forest.usda", HEAD + f'def Xform "Forest"\n{{\n{trees}}}\n'))
     assert len(stage.GetPrototypes()) == 1
-
-
-def test_one_prim_with_doubling_references_is_counted(tmp_path):
-    """No prim has children, but each refers to two that refer to the same two: 2^30 references for one prim."""
-    text = HEAD + "".join(
-        f'def "{name}{n}" (\n    references = [</a{n + 1}>, </b{n + 1}>]\n)\n{{\n}}\n'
-        for n in range(30)
-        for name in "ab"
-    )
-    with pytest.raises(StageError, match="unfolds to"):
-        open_stage(written(tmp_path / "stage.usda", text))
-
-
-def test_sublayers_that_double_are_counted(tmp_path):
-    """Twenty pairs of files, each file with both of the next pair: a stack of 2^20 layers."""
-    for level in range(21):
-        for name in "ab":
-            below = f"(\n    subLayers = [@./a{level + 1}.usda@, @./b{level + 1}.usda@]\n)\n" if level < 20 else ""
-            written(tmp_path / f"{name}{level}.usda", f"#usda 1.0\n{below}")
-    with pytest.raises(StageError, match="its sublayers unfold to"):
-        open_stage(tmp_path / "a0.usda")
 
 
 @pytest.mark.parametrize("levels, refused", [(40, True), (18, False)])
@@ -203,51 +186,27 @@ def test_triangles_are_counted_before_they_are_made(monkeypatch):
         budget.check_stage(stage)
 
 
-def test_more_triangles_than_points_could_bear_are_refused(monkeypatch):
-    """Equal numbers pack four thousand to one, points do not."""
-    monkeypatch.setattr(budget, "FEW_TRIANGLES", 10)
-    stage = Usd.Stage.CreateInMemory()
-    mesh = UsdGeom.Mesh.Define(stage, "/M")
-    mesh.CreateFaceVertexCountsAttr([3] * 70)
-    mesh.CreatePointsAttr([(0, 0, 0)] * 3)
-    assert budget.check_stage(stage).triangles == 70
-    mesh.CreateFaceVertexCountsAttr([3] * 71)
-    with pytest.raises(StageError, match="/M: 71 triangles of 3 points"):
-        budget.check_stage(stage)
-
-
-@pytest.mark.parametrize("levels", [300, 5000])
-def test_a_tower_is_refused_in_one_line(tmp_path, levels):
-    path = written(tmp_path / "deep.usda", "#usda 1.0\n" + 'def Xform "d" {\n' * levels + "}\n" * levels)
-    with pytest.raises(StageError, match="nested deeper than 256") as caught:
-        open_stage(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_long_chain_of_references_is_refused(tmp_path):
-    text = (
-        HEAD
-        + "".join(f'def "A{n}" (\n    references = </A{n + 1}>\n)\n{{\n}}\n' for n in range(3000))
-        + 'def "A3000"\n{\n}\n'
-    )
-    with pytest.raises(StageError, match="follow one another more than 200 deep"):
-        open_stage(written(tmp_path / "chain.usda", text))
+MANY = json.dumps([f"CollectionAPI:c{n}" for n in range(1001)])
 
 
 @pytest.mark.parametrize("text, words", [
-    ('def "A" (\n    references = </A>\n)\n{\n}\n', "/A.*Cycle"),
-    ('def "A" (\n    references = </B>\n)\n{\n}\ndef "B" (\n    references = </A>\n)\n{\n}\n', "Cycle"),
-    ('def "A" (\n    references = @./gone.usda@\n)\n{\n}\n', "/A.*gone.usda"),
-    ('def "A" (\n    references = @./there.obj@\n)\n{\n}\n', "/A.*there.obj.*not USD by its name"),
-    ('def "A" (\n    references = @./there.usda@</Nothing>\n)\n{\n}\n', "/A.*Nothing"),
-    ('def "A" (\n    references = @/etc/hostname@\n)\n{\n}\n', "/A: /etc/hostname lies outside of the stage's folder"),
+    (prim("references = </A>"), "/A.*Cycle"),
+    (prim("payload = </B>") + prim("payload = </A>", name="B"), "/A.*Cycle"),
+    (prim("inherits = </A/B>", prim("inherits = </A>", name="B")), "/A.*Cycle"),
+    (prim("references = @./gone.usda@"), "/A.*gone.usda"),
+    (prim("references = @./there.obj@"), "/A.*there.obj.*not USD by its name"),
+    (prim("references = @./there.usda@</Nothing>"), "/A.*Nothing"),
+    (prim("references = @././../../../../../../../../etc/hostname@"), "/A: /etc/hostname lies outside of the stage's"),
     ('def "A"\n{\n    asset f = @/etc/hostname@\n}\n', "/A.f: /etc/hostname lies outside of the stage's folder"),
+    (prim("references = @http://example.com/a.usda@"), "/A: its reference .* is missing"),
+    (prim("references = @./a.usdz[../x.usda]@"), "/A: its reference .* is missing"),
+    (prim(f"prepend apiSchemas = {MANY}"), "/A: 1001 applied schemas; at most 1000"),
 ])  # fmt: skip
-def test_references_that_lead_nowhere_or_elsewhere_are_one_line(tmp_path, text, words):
+def test_what_leads_nowhere_or_elsewhere_is_one_line(tmp_path, text, words):
     written(tmp_path / "there.usda", HEAD + CAMERA)
     written(tmp_path / "there.obj", "v 0 0 0\n")
     with pytest.raises(StageError, match=words) as caught:
-        open_stage(written(tmp_path / "stage.usda", HEAD + text), whole=True)
+        open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + text), whole=True)
     assert "\n" not in str(caught.value)
 
 
@@ -268,28 +227,26 @@ def two_folders(tmp_path):
     """A stage's folder, and beside it one with a car and a picture."""
     (tmp_path / "stage").mkdir()
     (tmp_path / "kit").mkdir()
-    written(
-        tmp_path / "kit" / "car.usda",
-        '#usda 1.0\n(\n    defaultPrim = "Car"\n)\ndef Xform "Car"\n{\n    def Cube "Body"\n    {\n    }\n}\n',
-    )
+    body = '    def Cube "Body"\n    {\n    }\n'
+    written(tmp_path / "kit" / "car.usda", usd(f'def Xform "Car"\n{{\n{body}}}\n', name="Car"))
     (tmp_path / "kit" / "sky.png").write_bytes(png(2, 2))
     return tmp_path / "stage", tmp_path / "kit"
 
 
+def dome(path):
+    return f'def DomeLight "Sky"\n{{\n    asset inputs:texture:file{path}\n}}\n'
+
+
+CHOICES = 'variants = {\n        string v = "a"\n    }\n    prepend variantSets = "v"'
 WAYS = {
-    "reference": 'def "Car" (\n    references = @../kit/car.usda@\n)\n{\n}\n',
-    "payload": 'def "Car" (\n    payload = @../kit/car.usda@\n)\n{\n}\n',
-    "texture": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @../kit/sky.png@\n}\n',
-    "link": 'def "Car" (\n    references = @./link.usda@\n)\n{\n}\n',
-    "linked texture": 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./link.png@\n}\n',
-    "variant": 'def "Car" (\n    variants = {\n        string v = "a"\n    }\n    prepend variantSets = "v"\n)\n{\n'
-    '    variantSet "v" = {\n        "a" {\n        }\n        "b" {\n'
-    '            def "x" (\n                references = @../kit/car.usda@\n            )\n            {\n            '
-    "}\n        }\n    }\n}\n",
-    "samples": (
-        'def DomeLight "Sky"\n{\n    asset inputs:texture:file.timeSamples = {\n        0: @../kit/sky.png@,\n    '
-        "}\n}\n"
+    "reference": prim("references = @../kit/car.usda@"),
+    "texture": dome(" = @../kit/sky.png@"),
+    "link": prim("references = @./link.usda@"),
+    "linked texture": dome(" = @./link.png@"),
+    "variant": prim(
+        CHOICES, 'variantSet "v" = {\n"a" {\n}\n"b" {\n' + prim("references = @../kit/car.usda@") + "}\n}\n"
     ),
+    "samples": dome(".timeSamples = {\n        0: @../kit/sky.png@,\n    }"),
 }
 
 
@@ -314,53 +271,27 @@ def test_the_command_line_allows_folders(two_folders):
     assert cli.run("check", path, "--allow", kit).returncode == 0
 
 
-def test_sublayers_elsewhere_are_refused(two_folders):
+def test_sublayers_elsewhere_folders_that_are_not_there_and_pipes_are_refused(two_folders):
+    """Nobody writes into the pipe: reading it would wait for ever."""
     folder, _ = two_folders
-    path = written(folder / "stage.usda", "#usda 1.0\n(\n    subLayers = [@../kit/car.usda@]\n)\n")
     with pytest.raises(StageError, match=r"car.usda lies outside"):
-        open_stage(path)
-
-
-def test_an_allowed_folder_must_be_there(two_folders):
+        open_stage(written(folder / "a.usda", "#usda 1.0\n(\n    subLayers = [@../kit/car.usda@]\n)\n"))
     with pytest.raises(StageError, match=r"--allow .*no such folder"):
-        open_stage(written(two_folders[0] / "stage.usda", HEAD), allow=["nowhere"])
-
-
-def test_a_pipe_that_nobody_writes_to_does_not_hang(tmp_path):
-    os.mkfifo(tmp_path / "sky.png")
-    path = written(
-        tmp_path / "stage.usda",
-        HEAD + CAMERA + 'def DomeLight "Sky"\n{\n    asset inputs:texture:file = @./sky.png@\n}\n',
-    )
+        open_stage(written(folder / "b.usda", HEAD), allow=["nowhere"])
+    os.mkfifo(folder / "sky.png")
     with pytest.raises(StageError, match=r"/Sky.*sky\.png is no regular file"):
-        open_stage(path)
-
-
-def test_other_peoples_plugins_are_not_loaded(tmp_path):
-    """PXR_PLUGINPATH_NAME with a plugin that USD complains about when it reads it: the child never does."""
-    (tmp_path / "plugin").mkdir()
-    written(
-        tmp_path / "plugin" / "plugInfo.json",
-        '{"Plugins": [{"Type": "library", "Name": "evil", "LibraryPath": "evil.so", "Root": ".", "Info": 7}]}',
-    )
-    path = written(tmp_path / "stage.usda", HEAD + CAMERA)
-    environment = {**os.environ, "PXR_PLUGINPATH_NAME": str(tmp_path / "plugin")}
-    plain = subprocess.run(
-        [sys.executable, "-c", "from pxr import Plug; Plug.Registry().GetAllPlugins()"],
-        capture_output=True,
-        text=True,
-        env=environment,
-    )
-    assert "plugInfo.json" in plain.stderr  # so the test could have failed
-    assert "plugInfo.json" not in cli.process("check", path, env=environment).stderr
+        open_stage(written(folder / "c.usda", HEAD + CAMERA + dome(" = @./sky.png@")))
+    os.mkfifo(folder / "graph.yaml")
+    done = cli.run("graph", "check", folder / "graph.yaml")
+    assert done.returncode == 2 and "graph.yaml: cannot be read (it is no regular file)" in done.stderr
 
 
 # -- pictures, packages and damaged files
 
 
 @pytest.fixture
-def painted(tmp_path):
-    """A stage with a card that wears a picture."""
+def card(tmp_path):
+    """Translate a stage with a card that wears a picture."""
 
     def make(name):
         stage = Usd.Stage.CreateNew(str(tmp_path / "card.usda"))
@@ -370,58 +301,61 @@ def painted(tmp_path):
         mesh.CreatePointsAttr([(-1, 5, -1), (1, 5, -1), (1, 5, 1), (-1, 5, 1)])
         mesh.CreateFaceVertexCountsAttr([4])
         mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-        UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex").Set(
-            [(0, 0), (1, 0), (1, 1), (0, 1)]
-        )
-        material = UsdShade.Material.Define(stage, "/Paint")
-        surface, texture, reader = (
-            UsdShade.Shader.Define(stage, f"/Paint/{part}") for part in ("Surface", "Texture", "Reader")
-        )
-        surface.CreateIdAttr("UsdPreviewSurface")
-        texture.CreateIdAttr("UsdUVTexture")
-        reader.CreateIdAttr("UsdPrimvarReader_float2")
-        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(name)
-        texture.CreateInput("fallback", Sdf.ValueTypeNames.Float4).Set((0.25, 0.5, 0.75, 1))
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
-            reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-        )
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
-            texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
-        )
-        material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+        color = picture_of(stage, Path(name), fallback=(0.25, 0.5, 0.75, 1))
+        painted(with_st(mesh).GetPrim(), diffuseColor=color)
         stage.Save()
         return translate(open_stage(tmp_path / "card.usda"))
 
     return make
 
 
+def jpeg(width, height):
+    """The headers of a JPEG."""
+    frame = struct.pack(">HBHHB", 17, 8, height, width, 3) + b"\1\x11\0\2\x11\0\3\x11\0"
+    return b"\xff\xd8\xff\xc0" + frame + b"\xff\xda\0\x0c\3\1\0\2\x11\3\x11\0\x3f\0\xff\xd9"
+
+
+def openexr(width, height, channels):
+    """The header of an OpenEXR file."""
+
+    def attribute(name, kind, data):
+        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
+
+    listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for name in channels) + b"\0"
+    box, one = struct.pack("<iiii", 0, 0, width - 1, height - 1), struct.pack("<f", 1)
+    parts = (("channels", "chlist", listed), ("compression", "compression", b"\0"), ("dataWindow", "box2i", box))
+    parts += (("displayWindow", "box2i", box), ("lineOrder", "lineOrder", b"\0"), ("pixelAspectRatio", "float", one))
+    parts += (("screenWindowCenter", "v2f", bytes(8)), ("screenWindowWidth", "float", one))
+    return b"\x76\x2f\x31\x01" + struct.pack("<I", 2) + b"".join(attribute(*part) for part in parts) + b"\0"
+
+
 @pytest.mark.parametrize("name, content, words", [
     ("big.png", png(10_000, 10_000, b""), "10000 x 10000 pixels is too large"),
     ("wide.png", png(2**31 - 1, 1, b""), None),
     ("text.png", b"hello", "cannot be read"),
-    ("empty.png", b"", "cannot be read"),
     ("cut.png", png(64, 64)[:60], None),
     ("notes.txt", b"hello", "no picture by its name"),
-    ("movie.mp4", b"hello", "no picture by its name"),
+    ("big.jpg", jpeg(60_000, 60_000), None),
+    ("big.exr", openexr(60_000, 60_000, "BGR"), None),
+    ("many.exr", openexr(8_000, 8_000, [f"c{n:04}" for n in range(1000)]), None),
+    ("big.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n", None),
 ])  # fmt: skip
-def test_a_picture_that_is_none_or_too_large_is_not_decoded(tmp_path, painted, name, content, words):
+def test_a_picture_that_is_none_or_too_large_is_not_decoded(tmp_path, card, name, content, words):
     """The fallback is drawn instead, and a note says so; a header that claims 100 megapixels is enough."""
     (tmp_path / name).write_bytes(content)
-    scene, grown_kib = at_peak(lambda: painted(f"./{name}"))
-    assert grown_kib < 100_000
+    scene, grown_kib = at_peak(lambda: card(f"./{name}"))
+    assert grown_kib < 200_000
     told = [note.text for note in scene.notes if note.severity == "warning" and name in note.text]
     assert told and (words is None or words in told[0])
 
 
-def test_textures_together_have_a_budget(tmp_path, painted, monkeypatch):
+def test_textures_together_have_a_budget(tmp_path, card, monkeypatch):
     from synfog_usd.translate import texture
 
     (tmp_path / "sky.png").write_bytes(png(512, 1024))
     monkeypatch.setattr(texture, "MAX_BYTES", (3 << 19) - 1)
     with pytest.raises(StageError, match=r"/Paint/Texture: with texture .*sky.png all textures take 1 MiB decoded"):
-        painted("./sky.png")
+        card("./sky.png")
 
 
 LIBRARY = """
@@ -582,26 +516,20 @@ def test_what_usd_writes_while_a_stage_is_read_is_not_heard(tmp_path, dies):
     assert ("died of" if dies else "a.txt, which is not USD by its name") in told[0]
 
 
-@pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_memory_beyond_the_limit_is_one_line(tmp_path, small):
-    """2^23 equal numbers pack into a small file and unfold to 32 MiB, and more where they are counted; on a machine of
-    24 MiB that is a line, and no trace.
-    """
+def test_memory_beyond_the_limit_is_one_line(tmp_path):
+    """2^23 equal numbers pack into a small file and unfold to 32 MiB; on a machine of 24 MiB that is a line."""
     layer = Sdf.Layer.CreateNew(str(tmp_path / "big.usdc"))
-    prim = Sdf.CreatePrimInLayer(layer, "/Mesh")
-    prim.specifier, prim.typeName = Sdf.SpecifierDef, "Mesh"
-    Sdf.AttributeSpec(prim, "faceVertexCounts", Sdf.ValueTypeNames.IntArray).default = Vt.IntArray.FromNumpy(
-        np.full(1 << 23, 3, np.int32)
-    )
+    spec = Sdf.CreatePrimInLayer(layer, "/Mesh")
+    spec.specifier, spec.typeName = Sdf.SpecifierDef, "Mesh"
+    counts = Sdf.AttributeSpec(spec, "faceVertexCounts", Sdf.ValueTypeNames.IntArray)
+    counts.default = Vt.IntArray.FromNumpy(np.full(1 << 23, 3, np.int32))
     layer.Save()
-    del layer
+    del layer, counts, spec
     assert (tmp_path / "big.usdc").stat().st_size < 1 << 20
     pages = (24 << 20) // resource.getpagesize()
     shrunk = f"before = os.sysconf\nos.sysconf = lambda name: {pages} if name == 'SC_PHYS_PAGES' else before(name)"
-    done = process_after(shrunk if small else "", "check", tmp_path / "big.usdc")
-    told = done.stderr
-    assert "Traceback" not in told
-    assert done.returncode == 2 and "memory" in told if small else "memory" not in told
+    done = process_after(shrunk, "check", tmp_path / "big.usdc")
+    assert done.returncode == 2 and "memory" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_crash_of_the_library_is_one_line(tmp_path):
@@ -638,63 +566,30 @@ def test_a_stage_that_takes_too_long_to_read_ends_in_one_line(tmp_path):
     assert done.returncode == 2 and told.count("\n") == 1 and "reading took more than 600 s of processor time" in told
 
 
-def test_what_ships_passes_its_own_check():
-    stage = open_stage(Path(__file__).resolve().parents[2] / "stages" / "crossroads.usda")
-    assert check(stage) == []
-
-
 # -- value clips, expressions, and sizes that no stage has
 
 
-def clip(template, begin, end, stride, *, manifest="./manifest.usda"):
+def clips(words):
     """A prim whose values come from a row of files."""
-    return f"""def Xform "A" (
-    clips = {{
-        dictionary default = {{
-            string templateAssetPath = "{template}"
-            double templateStartTime = {begin}
-            double templateEndTime = {end}
-            double templateStride = {stride}
-            string primPath = "/A"
-            asset manifestAssetPath = @{manifest}@
-        }}
-    }}
-)
-{{
-}}
-"""
+    return prim(f'clips = {{\n dictionary default = {{\n{words}\n string primPath = "/A"\n }}\n    }}')
 
 
-LISTED = """def Xform "A" (
-    clips = {
-        dictionary default = {
-            asset[] assetPaths = [@../kit/car.usda@]
-            string primPath = "/A"
-            double2[] active = [(0, 0)]
-            double2[] times = [(-1e308, inf)]
-        }
-    }
-)
-{
-}
-"""
+def clip(template, begin, end, stride, *, manifest="./manifest.usda"):
+    times = f"double templateStartTime = {begin}\n double templateEndTime = {end}\n double templateStride = {stride}"
+    return clips(f'string templateAssetPath = "{template}"\n {times}\n asset manifestAssetPath = @{manifest}@')
 
 
-@pytest.mark.parametrize(
-    "text, words",
-    [
-        (
-            clip("./c.###.usda", 0, "1e9", "1e-3"),
-            r"/A: its clips from 0 to 1e\+09 by 0.001 are 1e\+12 files; at most 100000",
-        ),
-        (clip("./c.###.usda", 0, "inf", "1"), r"/A: its clips .* are inf files"),
-        (clip("./c.###.usda", 0, 5, 0), r"/A: its clips .* are inf files"),
-        (clip("../kit/c.###.usda", 0, 5, 1), "/A: value clip .* lies outside of the stage's folder"),
-        (clip("./l.###.usda", 0, 5, 1), r"/A: value clip .*l\.001\.usda \(a link to .* lies outside"),
-        (clip("./c.###.usda", 0, 5, 1, manifest="../kit/car.usda"), "/A: value clip .* lies outside"),
-        (LISTED, "/A: value clip .*car.usda lies outside"),
-    ],
-)
+TIMES = "double2[] active = [(0, 0)]\n double2[] times = [(-1e308, inf)]"
+
+
+@pytest.mark.parametrize("text, words", [
+    (clip("./c.###.usda", 0, "1e9", "1e-3"), r"/A: its clips from 0 to 1e\+09 by 0.001 are 1e\+12 files; at most"),
+    (clip("./c.###.usda", 0, 5, 0), r"/A: its clips .* are inf files"),
+    (clip("../kit/c.###.usda", 0, 5, 1), "/A: value clip .* lies outside of the stage's folder"),
+    (clip("./l.###.usda", 0, 5, 1), r"/A: value clip .*l\.001\.usda \(a link to .* lies outside"),
+    (clip("./c.###.usda", 0, 5, 1, manifest="../kit/car.usda"), "/A: value clip .* lies outside"),
+    (clips(f"asset[] assetPaths = [@../kit/car.usda@]\n {TIMES}"), "/A: value clip .*car.usda lies outside"),
+])  # fmt: skip
 def test_value_clips_are_few_and_lie_within_the_fence(two_folders, text, words):
     """USD lists the files of a template when it opens a stage: 10^12 of them for ever.  None is opened to say so."""
     folder, kit = two_folders
@@ -766,78 +661,6 @@ def test_a_variable_set_above_leads_no_texture_out_of_the_fence(two_folders):
     open_stage(folder / "above.usda", allow=[kit])
 
 
-COLLECTIONS = [f'"CollectionAPI:c{n}"' for n in range(1001)]
-
-
-@pytest.mark.parametrize(
-    "text, words",
-    [
-        (
-            f'def "W" (\n    prepend apiSchemas = [{", ".join(COLLECTIONS)}]\n)\n{{\n}}\n',
-            "/W: 1001 applied schemas; at most 1000",
-        ),
-        ('def "A" (\n    payload = </B>\n)\n{\n}\ndef "B" (\n    payload = </A>\n)\n{\n}\n', "/A.*Cycle"),
-        ('def "A" (\n    specializes = </B>\n)\n{\n}\ndef "B" (\n    specializes = </A>\n)\n{\n}\n', "/A.*Cycle"),
-        (
-            'def "A" (\n    inherits = </A/B>\n)\n{\n    def "B" (\n        inherits = </A>\n    )\n    {\n    }\n}\n',
-            "/A.*Cycle",
-        ),
-        (
-            'def "A" (\n    references = @././../../../../../../../../etc/hostname@\n)\n{\n}\n',
-            "/A: /etc/hostname lies outside",
-        ),
-        *(
-            (f'def "A" (\n    references = @{name}@\n)\n{{\n}}\n', "/A: its reference .* is missing")
-            for name in (
-                "http://example.com/a.usda",
-                r"\\server\share\a.usda",
-                "file:///etc/a.usda",
-                "~/a.usda",
-                "${HOME}/a.usda",
-                "kit/a.usda",
-                "./a.usdz[../x.usda]",
-            )
-        ),
-    ],
-)
-def test_more_that_is_refused(tmp_path, text, words):
-    with pytest.raises(StageError, match=words) as caught:
-        open_stage(written(tmp_path / "stage.usda", HEAD + CAMERA + text), whole=True)
-    assert "\n" not in str(caught.value)
-
-
-def packed(path, kind, name, many, prim="Mesh"):
-    """A binary file of a few kB with an array of `many` equal whole numbers."""
-    layer = Sdf.Layer.CreateNew(str(path))
-    spec = Sdf.CreatePrimInLayer(layer, "/P")
-    spec.specifier, spec.typeName = Sdf.SpecifierDef, prim
-    Sdf.AttributeSpec(spec, name, kind).default = Vt.IntArray.FromNumpy(np.full(many, 3, np.int32))
-    layer.Save()
-    return path
-
-
-def test_millions_of_indices_in_a_small_file_are_counted_by_their_number(tmp_path, monkeypatch):
-    """Their numbers alone would fill the memory where they were made int64 first: the limits are asked of their
-    count.
-    """
-    kind = Sdf.ValueTypeNames.IntArray
-    points = packed(tmp_path / "points.usdc", kind, "protoIndices", 1 << 19, prim="PointInstancer")
-    layer = Sdf.Layer.FindOrOpen(str(points))
-    Sdf.RelationshipSpec(layer.GetPrimAtPath("/P"), "prototypes").targetPathList.explicitItems = ["/P/Ball"]
-    Sdf.CreatePrimInLayer(layer, "/P/Ball").specifier = Sdf.SpecifierDef
-    layer.Save()
-    del layer
-    faces = packed(tmp_path / "faces.usdc", kind, "faceVertexCounts", 1 << 20)
-    open_stage(points)
-    monkeypatch.setattr(budget, "MAX_SHAPES", 1 << 18)
-    monkeypatch.setattr(budget, "MAX_TRIANGLES", 1 << 19)
-    monkeypatch.setattr(np, "asarray", None)
-    with pytest.raises(StageError, match=r"/P: its instances unfold to 524 288 shapes"):
-        open_stage(points)
-    with pytest.raises(StageError, match=r"/P: 1 048 576 triangles"):
-        open_stage(faces)
-
-
 def promised(*words):
     """Run a command line: it ends with at most one line of error and within 3 GB; that line.
 
@@ -862,8 +685,7 @@ def test_values_nested_without_end_are_one_line(tmp_path, kind, brackets):
     promised("check", written(tmp_path / "deep.usda", HEAD + CAMERA + text))
 
 
-@pytest.mark.parametrize("table", ["SPECS", "TOKENS"])
-@pytest.mark.parametrize("rows", [1 << 27, 1 << 40])
+@pytest.mark.parametrize("table, rows", [("SPECS", 1 << 27), ("TOKENS", 1 << 40)])
 def test_a_table_of_a_damaged_file_that_says_it_is_long_is_one_line(tmp_path, table, rows):
     """USD makes room for as many rows or letters as a file of 2 kB says it has."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
@@ -873,8 +695,7 @@ def test_a_table_of_a_damaged_file_that_says_it_is_long_is_one_line(tmp_path, ta
     assert "cannot be read as USD" in promised("check", tmp_path / "a.usdc")
 
 
-@pytest.mark.parametrize("many", [1 << 28, (1 << 31) + 7])
-def test_a_list_of_a_damaged_file_that_says_it_is_long_is_one_line(tmp_path, many):
+def test_a_list_of_a_damaged_file_that_says_it_is_long_is_one_line(tmp_path, many=1 << 28):
     """For a list of seven words USD took 16 GB."""
     layer = Sdf.Layer.CreateNew(str(tmp_path / "a.usdc"))
     prim = Sdf.CreatePrimInLayer(layer, "/A")
@@ -943,76 +764,16 @@ def test_a_shape_beyond_every_street_is_left_out_with_a_note(tmp_path, new, word
 
 
 @pytest.mark.parametrize(
-    "unit, fits",
-    [("1e300", False), ("0", False), ("-1", False), ("nan", False), ("1e-9", False), ("0.0254", True), ("1000", True)],
+    "unit, fits", [("1e300", False), ("-1", False), ("nan", False), ("1e-9", False), ("1000", True)]
 )
 def test_a_unit_that_no_stage_is_in_is_refused(tmp_path, unit, fits):
-    stage = open_stage(
-        written(tmp_path / "stage.usda", HEAD.replace("metersPerUnit = 1", f"metersPerUnit = {unit}") + CAMERA)
-    )
+    head = HEAD.replace("metersPerUnit = 1", f"metersPerUnit = {unit}")
+    stage = open_stage(written(tmp_path / "stage.usda", head + CAMERA))
     if fits:
         translate(stage)
     else:
         with pytest.raises(StageError, match=r"metersPerUnit = .* is not from 1e-06 to 1000"):
             translate(stage)
-
-
-def jpeg(width, height):
-    """The headers of a JPEG."""
-    frame = struct.pack(">HBHHB", 17, 8, height, width, 3) + b"\1\x11\0\2\x11\0\3\x11\0"
-    return b"\xff\xd8\xff\xc0" + frame + b"\xff\xda\0\x0c\3\1\0\2\x11\3\x11\0\x3f\0\xff\xd9"
-
-
-def openexr(width, height, channels):
-    """The header of an OpenEXR file."""
-
-    def attribute(name, kind, data):
-        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
-
-    listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", 2, 0, 1, 1) for name in channels) + b"\0"
-    box = struct.pack("<iiii", 0, 0, width - 1, height - 1)
-    parts = (
-        ("channels", "chlist", listed),
-        ("compression", "compression", b"\0"),
-        ("dataWindow", "box2i", box),
-        ("displayWindow", "box2i", box),
-        ("lineOrder", "lineOrder", b"\0"),
-        ("pixelAspectRatio", "float", struct.pack("<f", 1)),
-        ("screenWindowCenter", "v2f", bytes(8)),
-        ("screenWindowWidth", "float", struct.pack("<f", 1)),
-    )
-    return b"\x76\x2f\x31\x01" + struct.pack("<I", 2) + b"".join(attribute(*part) for part in parts) + b"\0"
-
-
-@pytest.mark.parametrize("name, content", [
-    ("big.png", png(60_000, 60_000, b"")),
-    ("big.jpg", jpeg(60_000, 60_000)),
-    ("big.exr", openexr(60_000, 60_000, "BGR")),
-    ("many.exr", openexr(8_000, 8_000, [f"c{n:04}" for n in range(1000)])),
-    ("big.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n"),
-])  # fmt: skip
-def test_a_header_that_claims_gigapixels_costs_no_memory(tmp_path, painted, name, content):
-    (tmp_path / name).write_bytes(content)
-    scene, grown_kib = at_peak(lambda: painted(f"./{name}"))
-    assert grown_kib < 200_000
-    assert [note for note in scene.notes if note.severity == "warning" and name in note.text]
-
-
-# -- the importer, from Python
-
-
-def test_a_model_that_refers_elsewhere_is_not_imported(two_folders):
-    """The library's own door has the fence too, not only the command line."""
-    from synfog_usd.world.importer import import_asset
-
-    folder, kit = two_folders
-    path = written(folder / "model.usda", HEAD + WAYS["reference"])
-    with pytest.raises(StageError, match=r"car.usda lies outside of the stage's folder .*copy it there"):
-        import_asset(path, "car", out=folder / "lib")
-    (folder / "car.usda").symlink_to(kit / "car.usda")
-    written(path, HEAD + WAYS["reference"].replace("../kit", "."))
-    with pytest.raises(StageError, match=r"a link to .*car.usda\) lies outside"):
-        import_asset(path, "car", out=folder / "lib")
 
 
 WALL = (
@@ -1021,31 +782,15 @@ WALL = (
 )
 
 
-@pytest.mark.parametrize(
-    "camera, light, told",
-    [
-        (
-            "",
-            'SphereLight "L"\n{\n    float inputs:intensity = 1e30\n',
-            "/L: gives 1e.30 .*at most 1e.16 can be counted",
-        ),
-        ("", 'SphereLight "L"\n{\n    float inputs:exposure = 1000\n', "/L: gives .*lower its intensity or exposure"),
-        ("", 'DomeLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30"),
-        ("", 'DistantLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 6.72e.25"),
-        (
-            "float horizontalAperture = 1e30",
-            'DomeLight "L"\n{\n',
-            "/Ego: an aperture of 1e.30 .*angle of view of 180 degrees; 0.001 to 179 can be drawn",
-        ),
-        ("float focalLength = 1e-30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 180 degrees"),
-        ("float focalLength = 1e30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 1.2e-27 degrees"),
-        (
-            "float horizontalApertureOffset = 1e30",
-            'DomeLight "L"\n{\n',
-            "/Ego: its aperture offset is .* times the aperture; at most 10",
-        ),
-    ],
-)
+@pytest.mark.parametrize("camera, light, told", [
+    ("", 'SphereLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30 .*at most 1e.16 can be counted"),
+    ("", 'SphereLight "L"\n{\n    float inputs:exposure = 1000\n', "/L: gives .*lower its intensity or exposure"),
+    ("", 'DomeLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 1e.30"),
+    ("", 'DistantLight "L"\n{\n    float inputs:intensity = 1e30\n', "/L: gives 6.72e.25"),
+    ("float horizontalAperture = 1e30", 'DomeLight "L"\n{\n', "/Ego: an aperture of 1e.30 .*angle of view of 180"),
+    ("float focalLength = 1e30", 'DomeLight "L"\n{\n', "/Ego: .*angle of view of 1.2e-27 degrees"),
+    ("float horizontalApertureOffset = 1e30", 'DomeLight "L"\n{\n', "/Ego: its aperture offset is .* times the"),
+])  # fmt: skip
 def test_numbers_that_no_renderer_can_count_are_refused_by_check_and_by_translation(tmp_path, camera, light, told):
     """They ended in a renderer's traceback, or as infinity in bake.json, after `check` had found nothing."""
     path = written(tmp_path / "a.usda", HEAD + f'def Camera "Ego"\n{{\n    {camera}\n}}\ndef {light}}}\n' + WALL)
@@ -1069,24 +814,6 @@ def test_a_line_break_in_the_stages_name_is_told_in_one_line(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_stack_that_repeats_its_layers_is_refused_by_their_number(tmp_path):
-    """Eleven levels, each with the next one twice, are 4 095 layers; 3 000 that stand once are read."""
-    for level in range(12):
-        below = f"(\n    subLayers = [@./l{level + 1}.usda@, @./l{level + 1}.usda@]\n)\n" if level < 11 else ""
-        written(tmp_path / f"l{level}.usda", f"#usda 1.0\n{below}")
-    with pytest.raises(
-        StageError, match="its sublayers unfold to 4 095 layers; at most 2000 are composed: list each once"
-    ):
-        open_stage(tmp_path / "l0.usda")
-
-
-def test_a_pipeline_that_is_a_pipe_is_refused(tmp_path):
-    """Nobody writes into it, so reading it would wait for ever."""
-    os.mkfifo(tmp_path / "graph.yaml")
-    done = cli.run("graph", "check", tmp_path / "graph.yaml")
-    assert done.returncode == 2 and "graph.yaml: cannot be read (it is no regular file)" in done.stderr
-
-
 def lamps(folder, many, kind="SphereLight", inputs="", prototype=False):
     """A stage of lamps in a row; of one lamp in as many places where it is a prototype."""
     body = "".join(
@@ -1100,12 +827,10 @@ def lamps(folder, many, kind="SphereLight", inputs="", prototype=False):
             f"    point3f[] positions = {[(n, 0, 0) for n in range(many)]}\n"
             f'    def Xform "P"\n    {{\n{body}    }}\n}}\n'
         )
-    head = '#usda 1.0\n(\n    upAxis = "Z"\n    metersPerUnit = 1\n)\ndef Camera "Ego"\n{\n}\n'
-    return written(folder / "lamps.usda", head + body)
+    return written(folder / "lamps.usda", HEAD + CAMERA + body)
 
 
-@pytest.mark.parametrize("prototype", [False, True])
-@pytest.mark.parametrize("kind", ["SphereLight", "RectLight", "DistantLight"])
+@pytest.mark.parametrize("kind, prototype", [("SphereLight", False), ("RectLight", True)])
 def test_lamps_beyond_the_limit_are_refused_by_their_number(tmp_path, kind, prototype, monkeypatch):
     stage = open_stage(lamps(tmp_path, budget.MAX_LAMPS + 1, kind, prototype=prototype))
     with pytest.raises(StageError, match=r"^/.*: one more than the 5 000 lamps .*SYNFOG_USD_LARGE=1"):
@@ -1114,12 +839,6 @@ def test_lamps_beyond_the_limit_are_refused_by_their_number(tmp_path, kind, prot
     monkeypatch.setattr(budget, "MAX_LAMPS_TRUSTED", 10)
     with pytest.raises(StageError, match=r"one more than the 10 lamps and lit surfaces .* does not see$"):
         translate(stage)
-
-
-@pytest.mark.parametrize("number", (MANY_LIT, MANY_LIT + 1))
-def test_lit_surfaces_that_are_drawn_together_are_told_of(tmp_path, number):
-    told = [note.text for note in translate(open_stage(lamps(tmp_path, number, "RectLight"))).notes]
-    assert any(text.startswith(f"{number} lit surfaces are more than") for text in told) == (number > MANY_LIT)
 
 
 def test_kinds_of_lit_surfaces_and_their_triangles_are_refused_by_their_number(tmp_path, monkeypatch):
@@ -1135,20 +854,3 @@ def test_kinds_of_lit_surfaces_and_their_triangles_are_refused_by_their_number(t
     monkeypatch.setattr(budget, "MAX_LIT_TRIANGLES", 10)
     with pytest.raises(StageError, match=r"^1 lit surfaces of \d+ triangles; at most 10 can shine"):
         translate(open_stage(lamps(tmp_path, 1, "CylinderLight")))
-
-
-@pytest.mark.slow
-def test_ten_times_as_many_lamps_take_little_more_to_bake(tmp_path):
-    """Three thousand cards beside three hundred: 1.3 times the processor time; 5.3 times where each is a shape of its
-    own.
-    """
-    spent = []
-    for many in (300, 3000):
-        (folder := tmp_path / str(many)).mkdir()
-        words = ["bake", str(lamps(folder, many, "RectLight")), "--resolution", "64x36", "--samples", "2"]
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = cli.process(*words, "--quality", "reference", "--quiet", "-o", str(folder / "out"))
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert done.returncode == 0, done.stderr
-        spent.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    assert spent[1] < 4.0 * spent[0]

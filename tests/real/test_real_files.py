@@ -286,18 +286,15 @@ def test_the_picture_of_them_is_right_way_up_and_not_brighter_than_the_sky(parke
     )  # albedo 0.12: less than a quarter of the sky even with its gloss
 
 
-@pytest.mark.parametrize(
-    "name, frame",
-    [
-        ("CesiumMan", 1.0),
-        ("CesiumMan", 12.0),
-        ("RiggedFigure", 0.0),
-        ("CesiumMan", 0.0),
-        ("CesiumMan", 7.3),
-        ("RiggedFigure", 1.0),
-        ("RiggedFigure", 12.0),
-    ],
-)
+@pytest.mark.parametrize("name, frame", [
+    ("CesiumMan", 1.0),
+    ("CesiumMan", 12.0),
+    ("RiggedFigure", 0.0),
+    ("CesiumMan", 0.0),
+    ("CesiumMan", 7.3),
+    ("RiggedFigure", 1.0),
+    ("RiggedFigure", 12.0),
+])  # fmt: skip
 def test_people_are_posed_at_any_frame(name, frame):
     """The corners of the drawn body are those that USD's own skinning gives, also between two keys of the animation and
     before its first.
@@ -381,15 +378,6 @@ def test_a_bank_in_the_example_streets_fog_adds_its_part(example):
     np.testing.assert_allclose(layers["transmittance.Y"], closed, rtol=2e-3)
 
 
-def test_the_example_streets_car_is_veiled(example):
-    """Transmittance of 0.68 to the car leaves it darker than the sky of 1000 nits and brighter than its own black."""
-    out, _ = example
-    layers, light = layers_of(out, "active/mor300"), luminance(out, "active/mor300")
-    car = layers["semantic.ID"] == CAR
-    np.testing.assert_allclose(layers["transmittance.Y"][car], 0.05 ** (38.0 / 300.0), rtol=2e-3)
-    assert 300.0 < light[car].mean() < 0.8 * light[:20].mean() < 1000.0
-
-
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A street as Blender 5.0.1 exported it: a fog box by custom property, every kind of lamp, a shifted lens: (folder,
@@ -444,20 +432,3 @@ def test_blenders_street_is_right_way_up_through_a_shifted_lens(exported):
         np.flatnonzero((z < 0.35 / 24.85) & (z > -1.4 / 24.85)),
     )
     assert [left, width] == [columns[0], len(columns)] and [top, height] == [rows[0], len(rows)]
-
-
-def test_blenders_transmittance_falls_with_distance(exported):
-    """Of any two surfaces in the fog, the nearer is seen better."""
-    out, _ = exported
-    layers = layers_of(out, "authored/mor300")
-    seen = np.isfinite(layers["distance.Z"])
-    order = np.argsort(layers["distance.Z"][seen])
-    assert (np.diff(layers["transmittance.Y"][seen][order]) <= 1e-6).all()
-
-
-def test_blenders_lights_are_read_as_blender_means_them_and_that_is_kept(exported):
-    """The choice stands in what is printed and stored: four lamps and a sun by its own convention."""
-    out, printed = exported
-    stored = json.loads((out / "bake.json").read_text())
-    assert printed["plan"]["lights"] == stored["plan"]["lights"] == "auto"
-    assert any("5 by 'blender'" in note["text"] for note in stored["notes"])

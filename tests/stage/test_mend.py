@@ -9,7 +9,6 @@ from support.cli import run
 
 from synfog_usd.base.errors import OutputError
 from synfog_usd.dataset import check as verb
-from synfog_usd.stage import open_stage, rules
 
 HEAD = '#usda 1.0\n(\n    metersPerUnit = {metres}\n    upAxis = "Z"\n    documentation = "a street"\n)\n'
 EGO = """    def Camera "Ego"
@@ -74,16 +73,6 @@ DARK = """    def SphereLight "Lamp"
         float inputs:exposure = 2000
     }
 """
-
-
-def test_what_is_looked_for_to_be_fixed_is_all_that_can_be(written):
-    """By fewer rules than `findings` asks, on a stage that breaks each of those with a fix."""
-    stage = open_stage(
-        written(FOG, DARK, body("Car_1", 4), body("Thing", 4, label="auto"), body("Van", 4, label="van"))
-    )
-    found = [one for one in rules.findings(stage) if one.fix]
-    assert rules.fixable(stage)[0] == found
-    assert {one.rule for one in found} == {"fog-solid", "light-bright", "road-user-unlabelled", "label-unknown"}
 
 
 def test_labels_purposes_lamps_and_the_default_prim_are_mended(written):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdLux
+from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.stage import check, open_stage, register
 from synfog_usd.stage.schema import API_NAME, DEFAULTS, PLUGIN_FOLDER, PREFIX, read_fog
@@ -50,52 +50,6 @@ def test_values_are_as_they_were_typed():
     prim = UsdGeom.Cube.Define(stage, "/Fog").GetPrim()
     prim.CreateAttribute(PREFIX + "g", Sdf.ValueTypeNames.Float).Set(0.87)
     assert read_fog(prim, Usd.TimeCode.Default()).values["g"] == 0.87
-
-
-def findings(stage):
-    return {(note.path, note.text.split(";")[0].split(":")[0]) for note in check(stage)}
-
-
-def test_check_finds_what_a_render_would_miss():
-    """No camera, no fog, a label that Cityscapes does not have, and shapes without one."""
-    stage = Usd.Stage.CreateInMemory()
-    stage.SetDefaultPrim(stage.DefinePrim("/World", "Xform"))
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.Cube.Define(stage, "/World/A")
-    UsdGeom.Cube.Define(stage, "/World/B").GetPrim().CreateAttribute(
-        "userProperties:cityscapes", Sdf.ValueTypeNames.String
-    ).Set("ufo")
-    assert findings(stage) == {
-        ("", "the stage has no camera"),
-        ("", "the stage has no fog"),
-        ("", "the stage has no light and no emissive material"),
-        ("/World/B", "label 'ufo' is not a Cityscapes name"),
-        ("/World/A", "1 prims have no label (semantics"),
-    }
-
-
-def test_check_finds_a_camera_outside_of_its_fog():
-    stage = Usd.Stage.CreateInMemory()
-    stage.SetDefaultPrim(stage.DefinePrim("/World", "Xform"))
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    fog = UsdGeom.Cube.Define(stage, "/World/Fog")
-    fog.CreatePurposeAttr("guide")
-    fog.GetPrim().ApplyAPI(API_NAME)
-    UsdLux.SphereLight.Define(stage, "/World/Lamp")
-    UsdGeom.Camera.Define(stage, "/World/In")
-    assert findings(stage) == set()
-    UsdGeom.Camera.Define(stage, "/World/Out").AddTranslateOp().Set((5, 0, 0))
-    assert findings(stage) == {("/World/Out", "stands outside of every fog boundary")}
-
-
-def test_check_passes_on_what_usd_itself_finds():
-    """A stage without metersPerUnit and upAxis is legal, and a trap."""
-    stage = Usd.Stage.CreateInMemory()
-    UsdGeom.Camera.Define(stage, "/Camera")
-    texts = [note.text for note in check(stage) if note.text.startswith("usd: ")]
-    assert any("metersPerUnit" in text for text in texts) and any("upAxis" in text for text in texts)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")

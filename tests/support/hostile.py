@@ -406,20 +406,8 @@ WORDS = sorted(set(re.findall(r'[A-Za-z_:]+|[0-9.]+|[(){}\[\]=@<>",#]|\s+', TEXT
 """Tokens of the text, for damage that still looks like USD."""
 
 TYPES = (
-    "int",
-    "float",
-    "double3",
-    "string",
-    "token[]",
-    "asset",
-    "bool",
-    "color3f[]",
-    "matrix4d",
-    "int[]",
-    "quatf",
-    "timecode",
-    "nothing",
-    "opaque",
+    *("int", "float", "double3", "string", "token[]", "asset", "bool", "color3f[]", "matrix4d", "int[]", "quatf"),
+    *("timecode", "nothing", "opaque"),
 )
 ONE_OF_TYPE = {
     "string": '"x"',
@@ -438,14 +426,16 @@ NUMBERS = ("0", "-1", "1", "1e-45", "1e38", "-1e38", "1e308", "inf", "-inf", "na
 WHOLE = ("0", "-1", "1", "2", "7", "2147483647", "-2147483648")
 STRINGS = ('""', '"inherited"', '"invisible"', '"X"', '"none"', '"bilinear"', '"\u00e9\\n"', '"a b"', '"./x"')
 ASSETS = (
-    "@@",
-    "@./gone.png@",
-    "@/etc/hostname@",
-    "@.@",
-    "@./stage.usda@",
-    "@<UDIM>.png@",
-    "@./picture.png@",
-    "@./grid.npz@",
+    *(
+        "@@",
+        "@./gone.png@",
+        "@/etc/hostname@",
+        "@.@",
+        "@./stage.usda@",
+        "@<UDIM>.png@",
+        "@./picture.png@",
+        "@./grid.npz@",
+    ),
     "@./lamp.ies@",
 )
 _BY_TYPE = {

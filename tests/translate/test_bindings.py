@@ -518,16 +518,13 @@ def test_a_plane_shines_from_both_sides_by_default(empty, light, fluxes):
     assert not [note for note in scene.notes if note.path == "/Plane"]
 
 
-@pytest.mark.parametrize(
-    "primvar, kind, node, wanted",
-    [
-        ("Float", 0.5, {"base": "Reader"}, {"base_color": [0.1, 0.4, 0.2]}),
-        ("Color3f", (0.5, 0.25, 1.0), {"base_color": "Half"}, {"base_color": [0.25, 0.125, 0.5]}),
-        ("Float", 0.5, {"metalness": "Half"}, {"metallic": 0.25}),
-        ("Float", 1.25, {"specular_IOR": "Reader"}, {"eta": 1.25}),
-        ("Float", 2.5, {"specular_IOR": "Half"}, {"eta": 1.25}),
-    ],
-)
+@pytest.mark.parametrize("primvar, kind, node, wanted", [
+    ("Float", 0.5, {"base": "Reader"}, {"base_color": [0.1, 0.4, 0.2]}),
+    ("Color3f", (0.5, 0.25, 1.0), {"base_color": "Half"}, {"base_color": [0.25, 0.125, 0.5]}),
+    ("Float", 0.5, {"metalness": "Half"}, {"metallic": 0.25}),
+    ("Float", 1.25, {"specular_IOR": "Reader"}, {"eta": 1.25}),
+    ("Float", 2.5, {"specular_IOR": "Half"}, {"eta": 1.25}),
+])  # fmt: skip
 def test_a_constant_goes_through_nodes_and_into_weights(empty, square, only_shape, primvar, kind, node, wanted):
     """MaterialX's Standard Surface: base_color times base; the node halves what it gets."""
     stage = empty()

@@ -45,16 +45,13 @@ def test_illuminance_of_open_ground_is_that_of_sky_and_slanting_sun(empty):
     assert "noon" not in str(light)
 
 
-@pytest.mark.parametrize(
-    "nits, words, option",
-    [
-        (1.0, "deep twilight", "--light-scale 6000"),
-        (0.08, "a night of full moon", "--light-scale 80000"),
-        (0.0008, "a clear night without a moon", "--light-scale 8000000"),
-        (300.0, "an overcast day", None),
-        (5000.0, "full daylight without the sun", None),
-    ],
-)
+@pytest.mark.parametrize("nits, words, option", [
+    (1.0, "deep twilight", "--light-scale 6000"),
+    (0.08, "a night of full moon", "--light-scale 80000"),
+    (0.0008, "a clear night without a moon", "--light-scale 8000000"),
+    (300.0, "an overcast day", None),
+    (5000.0, "full daylight without the sun", None),
+])  # fmt: skip
 def test_a_dome_is_told_in_words_and_the_night_with_the_factor_that_makes_it_noon(empty, nits, words, option):
     """USD's default dome of 1 nit gives pi lux.  Full moon is 0.25 lux, a moonless sky 0.002, an overcast noon 1000 to
     2000 by the tables of illuminances; the factor brings the ground to 20 000 lux, of one figure.

@@ -128,15 +128,12 @@ def test_long_outlines_are_covered_once(shape, n=4_000):
     )
 
 
-@pytest.mark.parametrize(
-    "turn",
-    [
-        np.eye(3),
-        [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 1, 0], [1, 0, 0]],
-    ],
-)
+@pytest.mark.parametrize("turn", [
+    np.eye(3),
+    [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+    [[0, 0, 1], [0, 1, 0], [1, 0, 0]],
+])  # fmt: skip
 def test_triangles_turn_the_polygons_way_from_every_side(turn):
     """An L in each coordinate plane and from either side: its triangles' normals are its own, by Newell's sum."""
     points = np.array([(0, 0, 0), (3, 0, 0), (3, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)], dtype=float) @ np.transpose(

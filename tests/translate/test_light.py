@@ -241,17 +241,14 @@ SPHERE_M2, CUBE_M2, CYLINDER_M2 = 4.0 * np.pi, 24.0, 6.0 * np.pi + 2.0 * np.pi
 CONE_M2, CAPSULE_M2 = np.pi * (1.0 + np.sqrt(5.0)), 2.0 * np.pi * 0.5 * 1.0 + 4.0 * np.pi * 0.25
 
 
-@pytest.mark.parametrize(
-    "kind, numbers, surface_m2",
-    [
-        ("Sphere", {"radius": 1.0}, SPHERE_M2),
-        ("Cube", {"size": 2.0}, CUBE_M2),
-        ("Cylinder", {"radius": 1.0, "height": 3.0}, CYLINDER_M2),
-        ("Cone", {"radius": 1.0, "height": 2.0}, CONE_M2),
-        ("Capsule", {"radius": 0.5, "height": 1.0}, CAPSULE_M2),
-        ("Plane", {"width": 2.0, "length": 3.0}, 6.0),
-    ],
-)
+@pytest.mark.parametrize("kind, numbers, surface_m2", [
+    ("Sphere", {"radius": 1.0}, SPHERE_M2),
+    ("Cube", {"size": 2.0}, CUBE_M2),
+    ("Cylinder", {"radius": 1.0, "height": 3.0}, CYLINDER_M2),
+    ("Cone", {"radius": 1.0, "height": 2.0}, CONE_M2),
+    ("Capsule", {"radius": 0.5, "height": 1.0}, CAPSULE_M2),
+    ("Plane", {"width": 2.0, "length": 3.0}, 6.0),
+])  # fmt: skip
 def test_any_shape_with_mesh_light_api_shines_as_a_mesh_does(empty, kind, numbers, surface_m2):
     """Its flux is pi L A of the surface in closed form; tessellated round ones are a little smaller."""
     stage = empty()

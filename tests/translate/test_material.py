@@ -247,16 +247,13 @@ def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):
     assert "texcoords" in shape
 
 
-@pytest.mark.parametrize(
-    "scale, bias, slope",
-    [
-        ((2, 2, 2), (-1, -1, -1), (1, 1)),
-        ((2, -2, 2), (-1, 1, -1), (1, -1)),
-        ((1, 1, 2), (-0.5, -0.5, -1), (0.5, 0.5)),
-        ((2, -2, 2), (-1, -1, -1), None),
-        ((3, 1, 2), (0, 0, 0), None),
-    ],
-)
+@pytest.mark.parametrize("scale, bias, slope", [
+    ((2, 2, 2), (-1, -1, -1), (1, 1)),
+    ((2, -2, 2), (-1, 1, -1), (1, -1)),
+    ((1, 1, 2), (-0.5, -0.5, -1), (0.5, 0.5)),
+    ((2, -2, 2), (-1, -1, -1), None),
+    ((3, 1, 2), (0, 0, 0), None),
+])  # fmt: skip
 def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path, scale, bias, slope):
     """Green turned is DirectX's handedness; half the scale, half the slope; what puts a flat map askew or inside out is
     left out with a note.

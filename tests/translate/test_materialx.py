@@ -233,17 +233,14 @@ def test_a_variant_that_is_chosen_later_finds_its_file(tmp_path):
 DEEP = "<a>" * 40 + "</a>" * 40
 
 
-@pytest.mark.parametrize(
-    "text, why",
-    [
-        ("<materialx>", "no XML"),
-        ("<html/>", "root element"),
-        ('<!DOCTYPE m [<!ENTITY a "b">]><materialx version="1.38">&a;</materialx>', "document type"),
-        (f"<materialx>{DEEP}</materialx>", "deeper than"),
-        ("<materialx>" + "<a/>" * 60_000 + "</materialx>", "elements"),
-        ("<materialx>" + " " * (17 << 20) + "</materialx>", "bytes"),
-    ],
-)
+@pytest.mark.parametrize("text, why", [
+    ("<materialx>", "no XML"),
+    ("<html/>", "root element"),
+    ('<!DOCTYPE m [<!ENTITY a "b">]><materialx version="1.38">&a;</materialx>', "document type"),
+    (f"<materialx>{DEEP}</materialx>", "deeper than"),
+    ("<materialx>" + "<a/>" * 60_000 + "</materialx>", "elements"),
+    ("<materialx>" + " " * (17 << 20) + "</materialx>", "bytes"),
+])  # fmt: skip
 def test_what_is_no_materialx_is_told_and_refused_where_all_counts(tmp_path, text, why):
     path = placed(tmp_path, text)
     (note,) = composition_notes(open_stage(path))
@@ -283,15 +280,12 @@ def test_values_are_read_as_materialx_reads_them(tmp_path, name, kind, text):
     assert bool(composition_notes(open_stage(path))) == (kind == "float" and "," in text)
 
 
-@pytest.mark.parametrize(
-    "name, kind, text",
-    [
-        ("base_color", "color3", "1, red"),
-        ("base_color", "color3", "1, 1, 1, 1"),
-        ("base", "float", "inf"),
-        ("thin_walled", "boolean", "perhaps"),
-    ],
-)
+@pytest.mark.parametrize("name, kind, text", [
+    ("base_color", "color3", "1, red"),
+    ("base_color", "color3", "1, 1, 1, 1"),
+    ("base", "float", "inf"),
+    ("thin_walled", "boolean", "perhaps"),
+])  # fmt: skip
 def test_a_value_that_is_none_is_left_out_alone(tmp_path, name, kind, text):
     """The rest of the file is read: the metal of the same surface."""
     path = placed(tmp_path, document(constant(name, kind, text) + constant("metalness", "float", "0.75")))
@@ -555,15 +549,12 @@ def test_two_pictures_are_mixed_by_the_channel_of_a_third(quad):
     assert told(scene) == []
 
 
-@pytest.mark.parametrize(
-    "kind, inputs, mean",
-    [
-        ("ND_noise3d_color3FA", {"amplitude": 0.3, "pivot": 0.4}, 0.4),
-        ("ND_ramplr_color3", {"valuel": (0.2, 0.2, 0.2), "valuer": (0.8, 0.8, 0.8)}, 0.5),
-        ("ND_splitlr_float", {"valuel": 1.0, "valuer": 0.0, "center": 0.25}, 0.25),
-        ("ND_checkerboard_color3", {"color1": (0.1, 0.1, 0.1), "color2": (0.5, 0.5, 0.5)}, 0.3),
-    ],
-)
+@pytest.mark.parametrize("kind, inputs, mean", [
+    ("ND_noise3d_color3FA", {"amplitude": 0.3, "pivot": 0.4}, 0.4),
+    ("ND_ramplr_color3", {"valuel": (0.2, 0.2, 0.2), "valuer": (0.8, 0.8, 0.8)}, 0.5),
+    ("ND_splitlr_float", {"valuel": 1.0, "valuer": 0.0, "center": 0.25}, 0.25),
+    ("ND_checkerboard_color3", {"color1": (0.1, 0.1, 0.1), "color2": (0.5, 0.5, 0.5)}, 0.3),
+])  # fmt: skip
 def test_what_varies_without_a_picture_is_its_mean_and_told(quad, kind, inputs, mean):
     shader, _, finish = quad
     scene, _, bsdf = finish(specular_roughness=shader("Node", kind, TYPES.Float, **inputs))

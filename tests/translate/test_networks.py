@@ -113,14 +113,11 @@ def test_open_pbr_shines_in_nits(quad):
     assert any("fuzz_weight is not drawn" in note.text and note.severity == "warning" for note in scene.notes)
 
 
-@pytest.mark.parametrize(
-    "kind, output, more, index",
-    [
-        ("ND_separate3_color3", "outg", {}, 1),
-        ("ND_separate3_color3", "outb", {}, 2),
-        ("ND_extract_color3", "out", {"index": 2}, 2),
-    ],
-)
+@pytest.mark.parametrize("kind, output, more, index", [
+    ("ND_separate3_color3", "outg", {}, 1),
+    ("ND_separate3_color3", "outb", {}, 2),
+    ("ND_extract_color3", "out", {"index": 2}, 2),
+])  # fmt: skip
 def test_channels_are_taken_apart(quad, tmp_path, kind, output, more, index):
     stage, shader = quad
     write(tmp_path / "orm.png", CODES)
@@ -206,17 +203,14 @@ def test_a_gltf_surface_is_drawn_by_its_inputs(quad):
     assert [note.text for note in scene.notes if note.severity == "warning"] == []
 
 
-@pytest.mark.parametrize(
-    "mode, alpha, more, seen",
-    [
-        (0, 0.3, {}, 1.0),
-        (1, 0.3, {}, 0.0),
-        (1, 0.5, {}, 1.0),
-        (1, 0.3, {"alpha_cutoff": 0.2}, 1.0),
-        (1, 0.0, {"alpha_cutoff": 0.0}, 1.0),
-        (2, 0.3, {"alpha_cutoff": 0.9}, 0.3),
-    ],
-)
+@pytest.mark.parametrize("mode, alpha, more, seen", [
+    (0, 0.3, {}, 1.0),
+    (1, 0.3, {}, 0.0),
+    (1, 0.5, {}, 1.0),
+    (1, 0.3, {"alpha_cutoff": 0.2}, 1.0),
+    (1, 0.0, {"alpha_cutoff": 0.0}, 1.0),
+    (2, 0.3, {"alpha_cutoff": 0.9}, 0.3),
+])  # fmt: skip
 def test_alpha_counts_as_gltfs_mode_says(quad, mode, alpha, more, seen):
     """OPAQUE leaves it, MASK draws where it is at least the cutoff, 0.5 by default, BLEND takes it."""
     stage, shader = quad
@@ -497,17 +491,11 @@ def test_omnipbr_changes_its_pictures_as_its_formulas_say(quad, tmp_path):
     np.testing.assert_allclose(2 * normals - 1, slopes / np.linalg.norm(slopes, axis=2, keepdims=True), atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "inputs, expected",
-    [
-        ({}, {"type": "dielectric", "int_ior": 1.491}),
-        ({"glass_ior": 1.6, "thin_walled": True}, {"type": "thindielectric", "int_ior": 1.6}),
-        (
-            {"frosting_roughness": 0.5},
-            {"type": "roughdielectric", "int_ior": 1.491, "distribution": "ggx", "alpha": 0.25},
-        ),
-    ],
-)
+@pytest.mark.parametrize("inputs, expected", [
+    ({}, {"type": "dielectric", "int_ior": 1.491}),
+    ({"glass_ior": 1.6, "thin_walled": True}, {"type": "thindielectric", "int_ior": 1.6}),
+    ({"frosting_roughness": 0.5}, {"type": "roughdielectric", "int_ior": 1.491, "distribution": "ggx", "alpha": 0.25}),
+])  # fmt: skip
 def test_omniglass_refracts(quad, inputs, expected):
     """A solid's face unless it is thin; frosting by the square of its roughness; cutout as a mask."""
     stage, shader = quad

@@ -32,15 +32,12 @@ def warnings(scene):
 PAIRS = [Gf.Vec2f(400, 0.1), Gf.Vec2f(550, 0.4), Gf.Vec2f(700, 0.2)]
 
 
-@pytest.mark.parametrize(
-    "value, kind",
-    [
-        ("leaf", TYPES.Token),
-        ("leaf", TYPES.String),
-        (PAIRS, TYPES.Float2Array),
-        ([Gf.Vec2d(p) for p in PAIRS], TYPES.Double2Array),
-    ],
-)
+@pytest.mark.parametrize("value, kind", [
+    ("leaf", TYPES.Token),
+    ("leaf", TYPES.String),
+    (PAIRS, TYPES.Float2Array),
+    ([Gf.Vec2d(p) for p in PAIRS], TYPES.Double2Array),
+])  # fmt: skip
 def test_a_material_has_the_spectrum_that_stands_on_it(made, value, kind):
     """By name or as pairs, of either type; the drawn surface is the same as without."""
     stage, material, _ = made
@@ -81,20 +78,17 @@ def test_two_materials_that_differ_in_their_spectrum_alone_are_two(made, polygon
     assert len(worn & set(scene.reflectance_of)) == 1
 
 
-@pytest.mark.parametrize(
-    "value, kind, words",
-    [
-        ("leav", TYPES.Token, "Did you mean 'leaf'?"),
-        ([Gf.Vec2f(0.4, 0.1), Gf.Vec2f(0.7, 0.2)], TYPES.Float2Array, "micrometres"),
-        ([Gf.Vec2f(400, 0.1), Gf.Vec2f(700, 40.0)], TYPES.Float2Array, "0 to 1"),
-        ([400.0, 0.1, 700.0, 0.2], TYPES.FloatArray, "pairs"),
-        ([], TYPES.Float2Array, "pairs"),
-        (7.0, TYPES.Float, "pairs"),
-        ([Gf.Vec3f(400, 1, 1), Gf.Vec3f(700, 1, 1)], TYPES.Float3Array, "pairs"),
-        (["leaf", "grass"], TYPES.TokenArray, "neither a name nor numbers"),
-        (Sdf.AssetPath("leaf.csv"), TYPES.Asset, "neither a name nor numbers"),
-    ],
-)
+@pytest.mark.parametrize("value, kind, words", [
+    ("leav", TYPES.Token, "Did you mean 'leaf'?"),
+    ([Gf.Vec2f(0.4, 0.1), Gf.Vec2f(0.7, 0.2)], TYPES.Float2Array, "micrometres"),
+    ([Gf.Vec2f(400, 0.1), Gf.Vec2f(700, 40.0)], TYPES.Float2Array, "0 to 1"),
+    ([400.0, 0.1, 700.0, 0.2], TYPES.FloatArray, "pairs"),
+    ([], TYPES.Float2Array, "pairs"),
+    (7.0, TYPES.Float, "pairs"),
+    ([Gf.Vec3f(400, 1, 1), Gf.Vec3f(700, 1, 1)], TYPES.Float3Array, "pairs"),
+    (["leaf", "grass"], TYPES.TokenArray, "neither a name nor numbers"),
+    (Sdf.AssetPath("leaf.csv"), TYPES.Asset, "neither a name nor numbers"),
+])  # fmt: skip
 def test_what_is_no_spectrum_is_one_warning_with_its_prim_and_the_colour_counts(made, value, kind, words):
     stage, material, _ = made
     put(material.GetPrim(), value, kind)

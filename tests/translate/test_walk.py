@@ -73,16 +73,13 @@ def test_visibility_by_purpose_is_usds_own(empty):
     assert drawn(stage) == wanted | {"/Copy"}
 
 
-@pytest.mark.parametrize(
-    "purposes, wanted",
-    [
-        (None, {"/default", "/render"}),
-        (["default", "render"], {"/default", "/render"}),
-        (["default", "proxy"], {"/default", "/proxy"}),
-        (["default", "render", "proxy", "guide"], {"/default", "/render", "/proxy", "/guide"}),
-        (["render"], {"/render"}),
-    ],
-)
+@pytest.mark.parametrize("purposes, wanted", [
+    (None, {"/default", "/render"}),
+    (["default", "render"], {"/default", "/render"}),
+    (["default", "proxy"], {"/default", "/proxy"}),
+    (["default", "render", "proxy", "guide"], {"/default", "/render", "/proxy", "/guide"}),
+    (["render"], {"/render"}),
+])  # fmt: skip
 def test_the_render_settings_say_which_purposes_are_drawn(empty, purposes, wanted):
     stage = empty()
     for purpose in ("default", "render", "proxy", "guide"):

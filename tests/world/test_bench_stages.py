@@ -35,18 +35,15 @@ def test_a_stage_is_sound_and_has_a_camera_fog_and_labels(name: str):
     assert "clear" in variants(stage)["fog"]
 
 
-@pytest.mark.parametrize(
-    "name, fog, mor_m",
-    [
-        ("overcast_street", None, {150.0}),
-        ("canyon", "mor600", {600.0}),
-        ("dense_mor50", None, {50.0}),
-        ("dense_mor50", "mor300", {300.0}),
-        ("haze_mor2000", None, {2000.0}),
-        ("fog_bank", None, {400.0, 40.0}),
-        ("fog_bank", "clear", set()),
-    ],
-)
+@pytest.mark.parametrize("name, fog, mor_m", [
+    ("overcast_street", None, {150.0}),
+    ("canyon", "mor600", {600.0}),
+    ("dense_mor50", None, {50.0}),
+    ("dense_mor50", "mor300", {300.0}),
+    ("haze_mor2000", None, {2000.0}),
+    ("fog_bank", None, {400.0, 40.0}),
+    ("fog_bank", "clear", set()),
+])  # fmt: skip
 def test_a_variant_sets_the_visibility(name: str, fog: str | None, mor_m: set[float]):
     stage = opened(name)
     select(stage, fog=fog)

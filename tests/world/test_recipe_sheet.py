@@ -28,15 +28,12 @@ def test_other_seeds_are_refused(text):
         sheet.seeds_of(text)
 
 
-@pytest.mark.parametrize(
-    "options, words",
-    [
-        (["--seeds", "x"], "--seeds x"),
-        (["-o", "sheet.jpg"], ".png"),
-        (["--lighting", "night"], "sky and active"),
-        (["--change", "a=1"], "SECTION.KEY=VALUE"),
-    ],
-)
+@pytest.mark.parametrize("options, words", [
+    (["--seeds", "x"], "--seeds x"),
+    (["-o", "sheet.jpg"], ".png"),
+    (["--lighting", "night"], "sky and active"),
+    (["--change", "a=1"], "SECTION.KEY=VALUE"),
+])  # fmt: skip
 def test_the_command_refuses_in_one_line(tmp_path, options, words):
     """Exit code 2, and nothing written."""
     asked = options if "-o" in options else [*options, "-o", str(tmp_path / "sheet.png")]
