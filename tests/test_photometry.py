@@ -92,16 +92,6 @@ def test_electrons_of_white_light_follow_a_hand_integral():
     np.testing.assert_allclose(found, expected, rtol=2e-3)  # 5 nm steps against 1 nm
 
 
-def test_fine_bands_and_rgb_agree_about_white():
-    """D65 as 80 bands makes the electrons that RGB (1, 1, 1) makes; 5 nm boxes against 1 nm."""
-    centres = np.arange(382.5, 780.0, 5.0)
-    spectrum = photometry.channel_spectra(RGB).sum(axis=0)
-    levels = np.interp(centres, photometry.WAVELENGTHS_NM, spectrum)
-    by_bands = response.electrons_per_second(SENSOR, bands(*centres), pixel_pitch_um=1.4, fill_factor=1.0) @ levels
-    by_rgb = response.electrons_per_second(SENSOR, RGB, pixel_pitch_um=1.4, fill_factor=1.0).sum(axis=1)
-    np.testing.assert_allclose(by_bands, by_rgb, rtol=2e-3)
-
-
 def test_white_balance_equals_that_of_the_raw_to_aces_project():
     """`colour.matrix_idt` gives the multipliers of the same curves under D65; only their ratios count."""
     with colour.utilities.suppress_warnings(

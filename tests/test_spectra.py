@@ -56,19 +56,6 @@ def test_a_leaf_has_its_green_peak_and_its_red_edge_where_they_are_measured():
     assert NM[steep][np.gradient(dark)[steep].argmax()] > edge
 
 
-def test_skin_has_the_bands_of_blood_and_darkens_with_melanin_most_in_blue():
-    """Dips at 542 and 577 nm (oxygenated haemoglobin); red over blue as the light skin of the ColorChecker, within a
-    third.
-    """
-    curve = spectra.reflectance("skin")
-    for dip in (542, 577):
-        assert at(curve, dip) < min(at(curve, dip - 14), at(curve, dip + 14))
-    checker = colour.SDS_COLOURCHECKERS["BabelColor Average"]["light skin"]
-    assert at(curve, 650) / at(curve, 450) == pytest.approx(checker[650.0] / checker[450.0], rel=0.33)
-    brown = spectra.reflectance("skin_brown")
-    assert at(brown, 450) / at(curve, 450) < 0.7 * at(brown, 650) / at(curve, 650)
-
-
 BOXES = {  # EN 12899-1, daytime chromaticity of retro-reflective faces, and least luminance factor of class RA1
     "sheeting_white": ([(0.355, 0.355), (0.305, 0.305), (0.285, 0.325), (0.335, 0.375)], 0.35),
     "sheeting_yellow": ([(0.545, 0.454), (0.487, 0.423), (0.427, 0.483), (0.465, 0.534)], 0.27),
@@ -180,7 +167,3 @@ def test_materials_of_the_palette_have_spectra_of_about_their_colour(name):
         return
     wanted = colour.XYZ_to_xy(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ @ np.array(material.colour))
     np.testing.assert_allclose(chromaticity(spectra.reflectance(material.spectrum)), wanted, atol=0.05)
-
-
-def test_grass_asphalt_leaves_skin_paint_and_signs_have_spectra():
-    assert {"grass", "asphalt", "leaf_green", "skin", "paint", "sign_red", "reflective", "concrete"} <= set(MATERIALS)

@@ -6,7 +6,6 @@ not asked here.
 """
 
 import ntpath
-import os
 import subprocess
 import sys
 import textwrap
@@ -209,40 +208,3 @@ def test_files_that_a_container_keeps_do_not_count_as_used(tmp_path):
     (tmp_path / "memory.max").write_text("max\n", encoding="ascii")
     with pytest.raises(ValueError, match="max"):
         system._free_in_container(tmp_path)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's allocator")
-def test_memory_of_a_picture_is_taken_again_by_the_next():
-    """Pages that the system hands out anew for eight pairs of pictures of 24 MiB, told by the system itself."""
-    code = """
-        import resource, sys
-        import numpy as np
-        from synfog_usd.base import system
-
-        if sys.argv[1] == "kept":
-            system.keep_memory()
-
-        def pictures():
-            return [np.ones(6 << 20, np.float32) for _ in range(2)]
-
-        pictures(), pictures()
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        for _ in range(8):
-            pictures()
-        print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-    """
-    found = {
-        how: int(
-            subprocess.run(
-                [sys.executable, "-c", textwrap.dedent(code), how],
-                env=os.environ | {"NUMPY_MADVISE_HUGEPAGE": "0"},
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
-        )
-        for how in ("kept", "given back")
-    }
-    if found["given back"] < 10_000:
-        pytest.skip("this C library keeps such blocks by itself")
-    assert found["kept"] < 100

@@ -46,12 +46,10 @@ OVER = """#usda 1.0
     metersPerUnit = {metres}
     upAxis = "{up}"
 )
-def DomeLight "PairSky"
-{{
+def DomeLight "PairSky" {{
     float inputs:intensity = 500
 }}
-def Camera "PairEgo"
-{{
+def Camera "PairEgo" {{
     float2 clippingRange = (0.1, 100000)
     float focalLength = {focal}
     float horizontalAperture = 36

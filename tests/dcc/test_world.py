@@ -32,9 +32,7 @@ over "World" (
     variants = {
         string lighting = "active"
     }
-)
-{
-}
+) {}
 """
 
 

@@ -22,24 +22,18 @@ HEAD = """#usda 1.0
     metersPerUnit = 1
     upAxis = "Z"
 )
-def Xform "World"
-{
-    def Cube "Fog" (
-        prepend apiSchemas = ["SynFogMediumAPI"]
-    )
-    {
+def Xform "World" {
+    def Cube "Fog" (prepend apiSchemas = ["SynFogMediumAPI"]) {
         uniform token purpose = "guide"
         float synfog:fog:mor = 150
         double3 xformOp:translate = (0, 60, 20)
         float3 xformOp:scale = (60, 100, 30)
         uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
     }
-    def DomeLight "Sky"
-    {
+    def DomeLight "Sky" {
         float inputs:intensity = 1000
     }
-    def Camera "Ego"
-    {
+    def Camera "Ego" {
         float2 clippingRange = (0.1, 1000)
         float focalLength = 0.35
         float horizontalAperture = 0.36
@@ -48,10 +42,7 @@ def Xform "World"
         float xformOp:rotateX = 88
         uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]
     }
-    def Mesh "Ground" (
-        prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes", "MaterialBindingAPI"]
-    )
-    {
+    def Mesh "Ground" (prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes", "MaterialBindingAPI"]) {
         token[] semantics:labels:cityscapes = ["road"]
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
@@ -59,11 +50,9 @@ def Xform "World"
         uniform token subdivisionScheme = "none"
         rel material:binding = </World/Asphalt>
     }
-    def Material "Asphalt"
-    {
+    def Material "Asphalt" {
         token outputs:surface.connect = </World/Asphalt/Shader.outputs:surface>
-        def Shader "Shader"
-        {
+        def Shader "Shader" {
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor = (0.12, 0.12, 0.12)
             float inputs:roughness = 0.9

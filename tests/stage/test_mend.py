@@ -11,14 +11,12 @@ from synfog_usd.base.errors import OutputError
 from synfog_usd.dataset import check as verb
 
 HEAD = '#usda 1.0\n(\n    metersPerUnit = {metres}\n    upAxis = "Z"\n    documentation = "a street"\n)\n'
-EGO = """    def Camera "Ego"
-    {
+EGO = """    def Camera "Ego" {
         float2 clippingRange = (0.1, 100000)
         float xformOp:rotateX = 90
         uniform token[] xformOpOrder = ["xformOp:rotateX"]
     }
-    def DomeLight "Sky"
-    {
+    def DomeLight "Sky" {
         float inputs:intensity = 3000
     }
 """

@@ -80,38 +80,23 @@ def Xform "World" (
     variants = {
         string fog = "clear"
     }
-)
-{
-    def Camera "Ego"
-    {
-    }
-    def Cube "A" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+) {
+    def Camera "Ego" {}
+    def Cube "A" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         rel material:binding = </Looks/Red>
     }
-    def Cube "B"
-    {
-    }
+    def Cube "B" {}
     variantSet "fog" = {
-        "clear" {
-        }
+        "clear" {}
         "bank" {
-            def Cube "Bank" (
-                prepend apiSchemas = ["SynFogMediumAPI"]
-            )
-            {
+            def Cube "Bank" (prepend apiSchemas = ["SynFogMediumAPI"]) {
                 float synfog:fog:mor = 100
             }
         }
     }
 }
-def Material "Looks"
-{
-    def Material "Red"
-    {
-    }
+def Material "Looks" {
+    def Material "Red" {}
 }
 """
     )

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 from pxr import Usd
@@ -22,8 +21,6 @@ from synfog_usd.stage.open import unit_notes
 from synfog_usd.stage.types import mistyped
 from synfog_usd.translate import translate
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
-
 STREET = """#usda 1.0
 (
     defaultPrim = "World"
@@ -34,15 +31,10 @@ def Xform "World" (
     variants = { string fog = "mor300" }
     prepend variantSets = ["fog", "lighting"]
     references = @./car.usda@
-)
-{
+) {
     variantSet "fog" = {
         "clear" {
-            over "Fog" (
-                active = false
-            )
-            {
-            }
+            over "Fog" (active = false) {}
         }
         "mor300" {
             over "Fog" {
@@ -215,8 +207,7 @@ def Camera "Ego" { }
 def Xform "Car" (
     variantSets = "paint"
     variants = { string paint = "blue" }
-)
-{
+) {
     variantSet "paint" = {
         "blue" {
             def Cube "Blue" { }
@@ -251,17 +242,6 @@ def test_variants_that_are_not_there_are_refused_with_those_that_are(tmp_path, c
     (tmp_path / "a.usda").write_text(PAINTED)
     with pytest.raises(StageError, match=told):
         override(open_stage(tmp_path / "a.usda"), choices=[choice])
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
-def test_real_stages_open():
-    assert variants(open_stage(SHARED / "example_street.usda")) == {
-        "fog": ["clear", "mor150", "mor300", "mor600"],
-        "lighting": ["active", "sky"],
-    }
-    assert dependencies(open_stage(SHARED / "people" / "CesiumMan" / "CesiumMan.usdz")) == [
-        SHARED / "people" / "CesiumMan" / "CesiumMan.usdz"
-    ]
 
 
 def test_a_shell_completes_variants_from_the_stage(tmp_path, monkeypatch, capsys):

@@ -216,8 +216,7 @@ def test_a_sky_map_that_stands_on_edge_is_found(sound, kind, up, pole, turn, fou
 def test_a_variant_that_a_local_value_beats_is_found(tmp_path):
     """LIVRPS: local before variants."""
     text = """#usda 1.0
-def Xform "World" ( variants = { string fog = "a" } prepend variantSets = "fog" )
-{
+def Xform "World" ( variants = { string fog = "a" } prepend variantSets = "fog" ) {
     def Cube "Fog" ( ACTIVE prepend apiSchemas = ["SynFogMediumAPI"] ) { LOCAL }
     variantSet "fog" = { "a" { over "Fog" ( active = false ) { float synfog:fog:mor = 50 } } }
 }

@@ -18,24 +18,14 @@ from synfog_usd.stage import check, open_stage, select, stage_hash, variants
 from synfog_usd.translate import translate
 
 EXTRA = """
-def Xform "More" (
-    prepend apiSchemas = ["GeomModelAPI"]
-)
-{
-    def Mesh "Quad" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+def Xform "More" (prepend apiSchemas = ["GeomModelAPI"]) {
+    def Mesh "Quad" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
         point3f[] points = [(-1, 9, -1), (1, 9, -1), (1, 9, 1), (-1, 9, 1)]
         float3[] extent = [(-1, 9, -1), (1, 9, 1)]
-        normal3f[] primvars:normals = [(0, -1, 0)] (
-            interpolation = "constant"
-        )
-        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
-            interpolation = "vertex"
-        )
+        normal3f[] primvars:normals = [(0, -1, 0)] (interpolation = "constant")
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")
         int[] primvars:st:indices = [0, 1, 2, 3]
         color3f[] primvars:displayColor = [(0.5, 0.2, 0.1)]
         float[] primvars:displayOpacity = [1]
@@ -51,16 +41,14 @@ def Xform "More" (
         uniform bool doubleSided = 1
         token visibility = "inherited"
         rel material:binding = </More/Tiles>
-        def GeomSubset "Part"
-        {
+        def GeomSubset "Part" {
             uniform token elementType = "face"
             uniform token familyName = "materialBind"
             int[] indices = [0]
             rel material:binding = </World/Paint>
         }
     }
-    def BasisCurves "Wire"
-    {
+    def BasisCurves "Wire" {
         int[] curveVertexCounts = [4]
         point3f[] points = [(0, 5, 0), (1, 5, 0), (1, 6, 0), (2, 6, 0)]
         float[] widths = [0.1]
@@ -68,13 +56,11 @@ def Xform "More" (
         uniform token basis = "bspline"
         uniform token wrap = "nonperiodic"
     }
-    def Points "Dust"
-    {
+    def Points "Dust" {
         point3f[] points = [(0, 7, 0)]
         float[] widths = [0.2]
     }
-    def PointInstancer "Many"
-    {
+    def PointInstancer "Many" {
         rel prototypes = </More/Many/Ball>
         int[] protoIndices = [0, 0]
         int64[] ids = [1, 2]
@@ -83,23 +69,20 @@ def Xform "More" (
         float3[] scales = [(1, 1, 1), (2, 2, 2)]
         vector3f[] velocities = [(0, 0, 0), (0, 0, 1)]
         int64[] invisibleIds = [1]
-        def Sphere "Ball"
-        {
+        def Sphere "Ball" {
             double radius = 0.3
         }
     }
     def Xform "Twin" (
         instanceable = true
         prepend references = </More/Many/Ball>
-    )
-    {
+    ) {
         double3 xformOp:translate = (0, 3, 1)
         float3 xformOp:rotateXYZ = (0, 20, 0)
         float3 xformOp:scale = (1, 2, 1)
         uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ", "xformOp:scale"]
     }
-    def RectLight "Panel"
-    {
+    def RectLight "Panel" {
         float inputs:intensity = 100
         float inputs:exposure = 1
         color3f inputs:color = (1, 0.9, 0.8)
@@ -113,13 +96,11 @@ def Xform "More" (
         float inputs:shaping:focus = 0
         asset inputs:texture:file = @./none.png@
     }
-    def DistantLight "Sun"
-    {
+    def DistantLight "Sun" {
         float inputs:intensity = 1000
         float inputs:angle = 0.53
     }
-    def SphereLight "Bulb"
-    {
+    def SphereLight "Bulb" {
         float inputs:intensity = 10
         float inputs:radius = 0.05
         bool treatAsPoint = 1
@@ -129,27 +110,23 @@ def Xform "More" (
         double3 xformOp:translate = (0, 6, 4)
         uniform token[] xformOpOrder = ["xformOp:translate"]
     }
-    def CylinderLight "Tube"
-    {
+    def CylinderLight "Tube" {
         float inputs:length = 1
         float inputs:radius = 0.02
         float inputs:intensity = 50
     }
-    def DiskLight "Disk"
-    {
+    def DiskLight "Disk" {
         float inputs:radius = 0.2
         float inputs:diffuse = 1
         float inputs:specular = 1
     }
-    def DomeLight_1 "Map"
-    {
+    def DomeLight_1 "Map" {
         float inputs:intensity = 2
         asset inputs:texture:file = @./picture.png@
         token inputs:texture:format = "latlong"
         uniform token poleAxis = "scene"
     }
-    def Volume "Cloud"
-    {
+    def Volume "Cloud" {
         float3[] extent = [(-1, -1, -1), (1, 1, 1)]
         custom double userProperties:synfog_mor = 100
         token synfog:fog:phase = "droplets"
@@ -163,8 +140,7 @@ def Xform "More" (
         float synfog:fog:scaleHeight = 10
         int synfog:fog:priority = 1
     }
-    def Cube "Bank"
-    {
+    def Cube "Bank" {
         uniform token purpose = "guide"
         token synfog:fog:profile = "grid"
         asset synfog:fog:densityGrid = @./grid.npz@
@@ -172,10 +148,7 @@ def Xform "More" (
         double3 xformOp:translate = (0, 40, 0)
         uniform token[] xformOpOrder = ["xformOp:translate"]
     }
-    def Cylinder "Post" (
-        prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes"]
-    )
-    {
+    def Cylinder "Post" (prepend apiSchemas = ["SemanticsLabelsAPI:cityscapes"]) {
         token[] semantics:labels:cityscapes = ["pole"]
         double height = 2
         double radius = 0.1
@@ -183,20 +156,17 @@ def Xform "More" (
         matrix4d xformOp:transform = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 12, 0, 1))
         uniform token[] xformOpOrder = ["xformOp:transform"]
     }
-    def Cone "Pylon"
-    {
+    def Cone "Pylon" {
         custom string userProperties:cityscapes = "traffic sign"
         double height = 0.7
         double radius = 0.2
     }
-    def Capsule "Bin"
-    {
+    def Capsule "Bin" {
         double height = 0.7
         double radius = 0.2
         token axis = "X"
     }
-    def Camera "Second"
-    {
+    def Camera "Second" {
         float fStop = 2.8
         float focusDistance = 12
         float focalLength = 0.5
@@ -213,11 +183,9 @@ def Xform "More" (
         float exposure:iso = 100
         float exposure:time = 0.01
     }
-    def Material "Tiles"
-    {
+    def Material "Tiles" {
         token outputs:surface.connect = </More/Tiles/Surface.outputs:surface>
-        def Shader "Surface"
-        {
+        def Shader "Surface" {
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor.connect = </More/Tiles/Picture.outputs:rgb>
             float inputs:roughness = 0.4
@@ -233,8 +201,7 @@ def Xform "More" (
             float inputs:displacement = 0
             token outputs:surface
         }
-        def Shader "Picture"
-        {
+        def Shader "Picture" {
             uniform token info:id = "UsdUVTexture"
             asset inputs:file = @./picture.png@
             token inputs:sourceColorSpace = "sRGB"
@@ -246,8 +213,7 @@ def Xform "More" (
             float2 inputs:st.connect = </More/Tiles/Place.outputs:result>
             float3 outputs:rgb
         }
-        def Shader "Place"
-        {
+        def Shader "Place" {
             uniform token info:id = "UsdTransform2d"
             float2 inputs:in.connect = </More/Tiles/Reader.outputs:result>
             float inputs:rotation = 10
@@ -255,26 +221,20 @@ def Xform "More" (
             float2 inputs:translation = (0.5, 0)
             float2 outputs:result
         }
-        def Shader "Reader"
-        {
+        def Shader "Reader" {
             uniform token info:id = "UsdPrimvarReader_float2"
             string inputs:varname = "st"
             float2 inputs:fallback = (0, 0)
             float2 outputs:result
         }
     }
-    def Cube "Glazed" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+    def Cube "Glazed" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         double size = 0.3
         rel material:binding = </More/Glaze>
     }
-    def Material "Glaze"
-    {
+    def Material "Glaze" {
         token outputs:mtlx:surface.connect = </More/Glaze/Surface.outputs:out>
-        def Shader "Surface"
-        {
+        def Shader "Surface" {
             uniform token info:id = "ND_gltf_pbr_surfaceshader"
             color3f inputs:base_color.connect = </More/Glaze/Picture.outputs:outcolor>
             float inputs:alpha.connect = </More/Glaze/Picture.outputs:outa>
@@ -289,8 +249,7 @@ def Xform "More" (
             color3f inputs:sheen_color = (0, 0, 0)
             token outputs:out
         }
-        def Shader "Picture"
-        {
+        def Shader "Picture" {
             uniform token info:id = "ND_gltf_colorimage"
             asset inputs:file = @./picture.png@
             color4f inputs:color = (1, 1, 1, 0.5)
@@ -303,18 +262,13 @@ def Xform "More" (
             float outputs:outa
         }
     }
-    def Cube "Painted" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+    def Cube "Painted" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         double size = 0.3
         rel material:binding = </More/Paint>
     }
-    def Material "Paint"
-    {
+    def Material "Paint" {
         token outputs:mtlx:surface.connect = </More/Paint/Surface.outputs:out>
-        def Shader "Surface"
-        {
+        def Shader "Surface" {
             uniform token info:id = "ND_disney_principled"
             color3f inputs:baseColor = (0.5, 0.2, 0.1)
             float inputs:clearcoat = 0.5
@@ -324,18 +278,13 @@ def Xform "More" (
             token outputs:out
         }
     }
-    def Cube "Cast" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+    def Cube "Cast" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         double size = 0.3
         rel material:binding = </More/Metal>
     }
-    def Material "Metal"
-    {
+    def Material "Metal" {
         token outputs:mdl:surface.connect = </More/Metal/Surface.outputs:out>
-        def Shader "Surface"
-        {
+        def Shader "Surface" {
             uniform token info:implementationSource = "sourceAsset"
             uniform token info:mdl:sourceAsset:subIdentifier = "OmniSurface"
             color3f inputs:diffuse_reflection_color = (0.5, 0.2, 0.1)
@@ -350,19 +299,14 @@ def Xform "More" (
             token outputs:out
         }
     }
-    def SkelRoot "Man"
-    {
-        def Skeleton "Bones" (
-            prepend apiSchemas = ["SkelBindingAPI"]
-        )
-        {
+    def SkelRoot "Man" {
+        def Skeleton "Bones" (prepend apiSchemas = ["SkelBindingAPI"]) {
             uniform token[] joints = ["a", "a/b"]
         uniform matrix4d[] bindTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 1, 1))]
         uniform matrix4d[] restTransforms = [((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 1, 1))]
             rel skel:animationSource = </More/Man/Walk>
         }
-        def SkelAnimation "Walk"
-        {
+        def SkelAnimation "Walk" {
             uniform token[] joints = ["a", "a/b"]
             float3[] translations = [(0, 0, 0), (0, 0, 1)]
             quatf[] rotations = [(1, 0, 0, 0), (0.9, 0.1, 0, 0)]
@@ -370,10 +314,7 @@ def Xform "More" (
             uniform token[] blendShapes = ["smile"]
             float[] blendShapeWeights = [0.5]
         }
-        def Mesh "Body" (
-            prepend apiSchemas = ["SkelBindingAPI"]
-        )
-        {
+        def Mesh "Body" (prepend apiSchemas = ["SkelBindingAPI"]) {
             int[] faceVertexCounts = [3]
             int[] faceVertexIndices = [0, 1, 2]
             point3f[] points = [(0, 15, 0), (1, 15, 0), (0, 15, 1)]
@@ -390,8 +331,7 @@ def Xform "More" (
             rel skel:skeleton = </More/Man/Bones>
             uniform token[] skel:blendShapes = ["smile"]
             rel skel:blendShapeTargets = </More/Man/Body/Smile>
-            def BlendShape "Smile"
-            {
+            def BlendShape "Smile" {
                 uniform vector3f[] offsets = [(0, 0, 0.1)]
                 uniform int[] pointIndices = [2]
             }

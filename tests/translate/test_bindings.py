@@ -394,20 +394,6 @@ def test_instancers_within_instancers(empty, square, inner, name="tint"):
     assert found == {0.0: first[0], 2.0: first[1], 10.0: second[0], 12.0: second[1]}
 
 
-def test_many_colours_of_an_instancer_are_rounded_with_a_warning(empty, square):
-    """Of more kinds than are told apart, those that differ least are one; how much, is told and holds."""
-    stage = empty()
-    colors = np.random.default_rng(1).random((20_000, 3)).astype(np.float32)
-    instancer(stage, square, colors.tolist(), "tint")
-    scene = translate(stage)
-    (note,) = [note for note in scene.notes if "values of tint" in note.text]
-    off = float(note.text.split("off by ")[1].split(" ")[0])
-    found = colors_by_instance(scene)
-    assert len(set(found.values())) <= 4096 and off < 0.08
-    error = np.abs(np.array([found[f"/Points[{n}]"] for n in range(20_000)]) - colors)
-    assert error.max() <= off * 1.1
-
-
 @pytest.mark.parametrize("frame, place", [(None, 10.0), (7, 15.0), (9, 20.0)])
 def test_a_stage_without_a_first_frame_is_drawn_at_its_first_sample(empty, square, only_shape, frame, place):
     """Samples at 5 and 9 and no default: the place is the first's, not the origin; points and visibility are those of
@@ -540,22 +526,6 @@ def test_a_constant_goes_through_nodes_and_into_weights(empty, square, only_shap
     assert [note.text for note in scene.notes if note.severity == "warning"] == []
 
 
-def test_a_constant_is_read_into_the_weight_of_emission_and_a_coloured_opacity(empty, square, only_shape):
-    """100 times a colour in nits; an opacity of three numbers is their mean."""
-    stage = empty()
-    surface = standard_surface(stage, emission_color=(1.0, 2.0, 4.0))
-    reads(stage, surface, "Float", {"emission": "Reader"})
-    reads(stage, surface, "Color3f", {"opacity": "Reader"}, name="y")
-    prim = square(stage, "/Mesh")
-    prim.CreateAttribute("primvars:x", TYPES.Float, custom=True).Set(100.0)
-    prim.CreateAttribute("primvars:y", TYPES.Color3f, custom=True).Set((0.25, 0.5, 0.75))
-    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
-    scene = translate(stage)
-    shape = only_shape(scene)
-    assert shape["emitter"]["radiance"]["value"] == [100, 200, 400]
-    assert scene.world[shape["bsdf"]["id"]]["opacity"] == 0.5
-
-
 def standard_surface(stage, **constants):
     """A MaterialX Standard Surface /Look."""
     made = shade(stage, "/Look/Surface", "ND_standard_surface_surfaceshader", **constants)
@@ -572,18 +542,3 @@ def reads(stage, surface, kind, inputs, name="x"):
     outputs = {"Reader": reader, "Half": half}
     for one, node in inputs.items():
         surface.CreateInput(one, value).ConnectToSource(outputs[node])
-
-
-def test_materialx_geomcolor_is_the_display_colour(empty, square, only_shape):
-    """By vertex too, as MaterialX's colour of the geometry."""
-    stage = empty()
-    surface = standard_surface(stage)
-    put(surface, "base_color", shade(stage, "/Look/Node", "ND_geomcolor_color3", gives=TYPES.Color3f))
-    prim = square(stage, "/Mesh")
-    own = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("displayColor", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
-    own.Set([RED, GREEN, BLUE, (0.5, 0.5, 0.5)])
-    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
-    shape = only_shape(translate(stage))
-    place = np.round(shape["positions"] - shape["positions"].min(axis=0))[:, [0, 2]].tolist()
-    wanted = {(0, 0): RED, (1, 0): GREEN, (1, 1): BLUE, (0, 1): (0.5, 0.5, 0.5)}
-    assert {tuple(at): tuple(c) for at, c in zip(place, shape["vertex_color"].tolist(), strict=True)} == wanted

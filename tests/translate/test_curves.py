@@ -174,18 +174,6 @@ def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape)
     )  # rings are measured from vertices in float32
 
 
-def test_hermite_curves_without_tangents_are_left_out_with_a_note(empty):
-    stage = empty()
-    curves = UsdGeom.HermiteCurves.Define(stage, "/Curves")
-    curves.CreatePointsAttr([(0, 5, 0), (1, 5, 0)])
-    curves.CreateCurveVertexCountsAttr([2])
-    curves.CreateWidthsAttr([0.1])
-    curves.SetWidthsInterpolation("constant")
-    scene = translate(stage)
-    assert not any(key.startswith("shape_") for key in scene.world)
-    assert any(note.path == "/Curves" and "tangents" in note.text for note in scene.notes)
-
-
 @pytest.mark.parametrize("name", ["normals", "primvars:normals"])
 def test_curves_with_normals_are_flat_ribbons(empty, only_shape, name, facing=(0.8, -1, 0)):
     """A strip of width 0.2 and length 3 has an area of 0.6 and looks along what of its normal stands at right angles to
@@ -245,25 +233,6 @@ def test_colours_run_along_a_curve(empty, only_shape, name, interpolation="varyi
 def reading(stage, curves, name):
     color = shade(stage, "/M/Reader", "UsdPrimvarReader_float3", "result", Sdf.ValueTypeNames.Float3, varname=name)
     painted(curves.GetPrim(), "/M", diffuseColor=color)
-
-
-def test_a_cubic_curve_takes_colours_of_its_segments_ends(empty, only_shape):
-    """One Bezier segment has two varying values, even between them."""
-    stage = empty()
-    curves = define(stage, ARCH.tolist(), [4], type="cubic", basis="bezier")
-    colors = UsdGeom.PrimvarsAPI(curves).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "varying")
-    colors.Set([(0, 0, 0), (1, 1, 1)])
-    found = only_shape(translate(stage))["vertex_color"].reshape(-1, 8, 3)
-    np.testing.assert_allclose(found[:, 0, 0], np.linspace(0, 1, len(found)), atol=1e-6)
-
-
-def test_each_curve_has_its_own_colour(empty, only_shape):
-    stage = empty()
-    curves = define(stage, [(0, 5, 0), (3, 5, 0), (0, 5, 1), (3, 5, 1)], [2, 2], type="linear")
-    colors = UsdGeom.PrimvarsAPI(curves).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform")
-    colors.Set([(1, 0, 0), (0, 0, 1)])
-    shape = only_shape(translate(stage))
-    np.testing.assert_allclose(shape["vertex_color"][:, 2], shape["positions"][:, 2] > 0.5)
 
 
 @pytest.mark.parametrize("kind", ["BasisCurves", "Points"])

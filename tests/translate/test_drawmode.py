@@ -48,17 +48,6 @@ def test_bounds_are_the_edges_of_the_box(house):
     np.testing.assert_allclose(scene.world[shape["bsdf"]["id"]]["bsdf"]["reflectance"]["value"], [0.1, 0.2, 0.3])
 
 
-def test_the_origin_has_three_axes(house):
-    """Of one unit each, in red, green and blue."""
-    _, draw = house
-    scene, shapes = draw(modelDrawMode="origin")
-    colors = [scene.world[shape["bsdf"]["id"]]["bsdf"]["reflectance"]["value"] for shape in shapes]
-    assert colors == np.eye(3).tolist()
-    for axis, shape in enumerate(shapes):
-        low, high = box([shape], scene)
-        assert low[axis] == pytest.approx((10, 20, 30)[axis]) and high[axis] == pytest.approx((11, 21, 31)[axis])
-
-
 @pytest.mark.parametrize("kind, apart", [("cross", 0.0), ("box", 1.0)])
 def test_cards_cross_the_model_or_lie_on_its_box(house, kind, apart):
     """Six quads of the size of its faces, and all of one colour where there is no picture."""

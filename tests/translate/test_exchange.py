@@ -127,66 +127,46 @@ def Xform "World" (
         string lighting = "day"
     }
     prepend variantSets = "lighting"
-)
-{
-    def Camera "Ego"
-    {
+) {
+    def Camera "Ego" {
         float3 xformOp:rotateXYZ = (90, 0, 0)
         uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
     }
     def Xform "One" (
         instanceable = true
         references = </Model>
-    )
-    {
-    }
+    ) {}
     def Xform "Two" (
         instanceable = true
         references = </Model>
-    )
-    {
+    ) {
         double3 xformOp:translate = (2, 0, 0)
         uniform token[] xformOpOrder = ["xformOp:translate"]
     }
-    def Xform "Own" (
-        references = </Model>
-    )
-    {
-    }
+    def Xform "Own" (references = </Model>) {}
     variantSet "lighting" = {
         "day" {
-            def DistantLight "Sun"
-            {
-            }
+            def DistantLight "Sun" {}
         }
         "night" {
-            over "Own"
-            {
+            over "Own" {
                 SAID
             }
         }
     }
 }
-def Xform "Model"
-{
-    def Mesh "Plate" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+def Xform "Model" {
+    def Mesh "Plate" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         point3f[] points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
         uniform token subdivisionScheme = "none"
         rel material:binding = </Model/Paint>
-        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
-            interpolation = "vertex"
-        )
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")
     }
-    def Material "Paint"
-    {
+    def Material "Paint" {
         token outputs:surface.connect = </Model/Paint/Surface.outputs:surface>
-        def Shader "Surface"
-        {
+        def Shader "Surface" {
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor = (0.8, 0.1, 0.1)
             token outputs:surface

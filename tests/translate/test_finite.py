@@ -18,8 +18,7 @@ HEAD = """#usda 1.0
     metersPerUnit = 0.01
     upAxis = "Z"
 )
-def Camera "Cam"
-{
+def Camera "Cam" {
     float2 clippingRange = (CLIP)
     float focalLength = FOCAL
     float horizontalAperture = 40
@@ -29,8 +28,7 @@ def Camera "Cam"
     double3 xformOp:translate = (PLACE, -1000, 0)
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
 }
-def DomeLight "Sky"
-{
+def DomeLight "Sky" {
     float inputs:intensity = 1000
 }
 """
@@ -46,32 +44,27 @@ MESH = """def Mesh "C" (
     %s
 }
 """
-PAINT = """def Material "M"
-{
+PAINT = """def Material "M" {
     token outputs:surface.connect = </M/S.outputs:surface>
-    def Shader "S"
-    {
+    def Shader "S" {
         uniform token info:id = "UsdPreviewSurface"
         %s
         token outputs:surface
     }
-    def Shader "T"
-    {
+    def Shader "T" {
         uniform token info:id = "UsdUVTexture"
         asset inputs:file = @t.png@
         float2 inputs:st.connect = </M/X.outputs:result>
         %s
         float3 outputs:rgb
     }
-    def Shader "X"
-    {
+    def Shader "X" {
         uniform token info:id = "UsdTransform2d"
         float2 inputs:in.connect = </M/R.outputs:result>
         %s
         float2 outputs:result
     }
-    def Shader "R"
-    {
+    def Shader "R" {
         uniform token info:id = "UsdPrimvarReader_float2"
         string inputs:varname = "st"
         float2 outputs:result

@@ -52,23 +52,6 @@ def test_triangles_cover_a_polygon_once(n, inner):
         np.testing.assert_allclose(signed.sum(), shoelace(flat), rtol=1e-12)
 
 
-@pytest.mark.parametrize("turn", range(4))
-@pytest.mark.parametrize("others", [0, 1])
-def test_darts_are_covered_once_wherever_they_are_bent(empty, polygon_mesh, only_shape, turn, others):
-    """A quad whose one corner points inwards has an area of 2, alone and beside a convex one of area 4."""
-    dart = np.roll(np.array([(0, 0), (2, 1), (0, 4), (1, 1)], dtype=float), turn, axis=0)
-    square = np.array([(5, 0), (7, 0), (7, 2), (5, 2)], dtype=float)
-    flat = np.concatenate([dart, *[square] * others])
-    stage = empty()
-    polygon_mesh(
-        stage, "/Dart", [(float(x), 5.0, float(z)) for x, z in flat], [4] * (1 + others), list(range(len(flat)))
-    )
-    shape = only_shape(translate(stage))
-    signed = -area_vectors(shape["positions"], shape["faces"])[:, 1]
-    assert (signed > 0).all()
-    np.testing.assert_allclose(signed.sum(), shoelace(dart) + 4 * others, rtol=1e-6)
-
-
 def test_a_polygon_with_a_bridged_hole_keeps_its_area():
     """A 4 x 4 square with a 2 x 2 hole, joined by a bridge of no width, covers 12."""
     flat = [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]
@@ -87,33 +70,13 @@ def spiral(n):
     ]
 
 
-def comb(n):
-    """A spine with n / 4 teeth."""
-    left = np.arange(n // 4, dtype=float)
-    teeth = np.stack(
-        [np.c_[left + x, np.full_like(left, y)] for x, y in [(0, 0.1), (0, 1), (0.5, 1), (0.5, 0.1)]], axis=1
-    ).reshape(-1, 2)
-    return np.r_[[(-1.0, 0.0), (n // 4 + 1.0, 0.0)], teeth[::-1]]
-
-
 def zigzag(n):
     """A thin band up and down, n / 2 times over 1 m."""
     along, high = np.linspace(0, 1, n // 2), np.arange(n // 2) % 2
     return np.r_[np.c_[along, high - 0.001], np.c_[along, high + 0.001][::-1]]
 
 
-def dented_square(n):
-    """A square with n / 4 corners along each side, one corner of a dent, and each corner twice."""
-    side = np.linspace(0, 1, n // 8, endpoint=False)
-    zero, one = np.zeros_like(side), np.ones_like(side)
-    return np.repeat(
-        np.r_[np.c_[side, zero], np.c_[one, side], np.c_[1 - side, one], np.c_[zero, 1 - side], [(0.25, 0.5)]],
-        2,
-        axis=0,
-    )
-
-
-@pytest.mark.parametrize("shape", [spiral, comb, zigzag, dented_square])
+@pytest.mark.parametrize("shape", [spiral, zigzag])
 def test_long_outlines_are_covered_once(shape, n=4_000):
     """An outline of thousands of corners that no fan covers; cutting ears one by one took the cube of their number,
     which was hours.
@@ -128,22 +91,6 @@ def test_long_outlines_are_covered_once(shape, n=4_000):
     )
 
 
-@pytest.mark.parametrize("turn", [
-    np.eye(3),
-    [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-    [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
-    [[0, 0, 1], [0, 1, 0], [1, 0, 0]],
-])  # fmt: skip
-def test_triangles_turn_the_polygons_way_from_every_side(turn):
-    """An L in each coordinate plane and from either side: its triangles' normals are its own, by Newell's sum."""
-    points = np.array([(0, 0, 0), (3, 0, 0), (3, 1, 0), (1, 1, 0), (1, 2, 0), (0, 2, 0)], dtype=float) @ np.transpose(
-        turn
-    )
-    triangles, _, _ = triangulate(points, np.array([6]), ONE, np.arange(6), np.array([True]))
-    newell = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
-    np.testing.assert_allclose(area_vectors(points, triangles).sum(axis=0), newell, atol=1e-12)
-
-
 @pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 3, 1, 4, 2, 5]])
 def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
     """A bow tie and a tangled hexagon: drawn as well as they can be, and noted with the number of the
@@ -156,15 +103,6 @@ def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
     assert "1 of its faces, number 0 first, have edges that cross" in " ".join(
         note.text for note in translate(stage).notes
     )
-
-
-def test_hole_indices_leave_faces_out(empty, polygon_mesh, only_shape):
-    stage = empty()
-    points = [(x, 5, z) for z in range(2) for x in range(4)]
-    mesh = polygon_mesh(stage, "/Strip", points, [4, 4, 4], [0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6])
-    mesh.CreateHoleIndicesAttr([1])
-    shape = only_shape(translate(stage))
-    np.testing.assert_allclose(np.linalg.norm(area_vectors(shape["positions"], shape["faces"]), axis=1).sum(), 2.0)
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -322,32 +260,6 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
     np.testing.assert_allclose(shape["normals"][faces[0, 0]], flat / np.linalg.norm(flat), atol=1e-6)
 
 
-def test_a_loop_octahedron_touches_its_limit(empty, polygon_mesh, only_shape):
-    """Its points of valence 4 keep 1 - 4 / (4 + 3 / (8 beta)) = 24 / 55 of their distance, beta = (5/8 - (3/8 + cos(90)
-    / 4)^2) / 4 = 31 / 256.
-    """
-    stage = empty()
-    tips = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-    sides = [
-        (a, b, c) if np.linalg.det([tips[a], tips[b], tips[c]]) > 0 else (a, c, b)
-        for a in (0, 1)
-        for b in (2, 3)
-        for c in (4, 5)
-    ]
-    mesh = polygon_mesh(stage, "/Cage", tips, [3] * 8, [k for side in sides for k in side])
-    mesh.GetSubdivisionSchemeAttr().Set("loop")
-    mesh.AddTranslateOp().Set((0, 5, 0))
-    scene = translate(stage)
-    shape = only_shape(scene)
-    p = shape["positions"].astype(float) - [0, 5, 0]
-    assert len(shape["faces"]) == 8 * 4**3
-    np.testing.assert_allclose(p[:6], 24 / 55 * np.array(tips), atol=1e-6)
-    np.testing.assert_allclose(shape["normals"][:6], tips, atol=1e-6)
-    areas = area_vectors(p, shape["faces"])
-    assert (np.einsum("ij,ij->i", p[shape["faces"][:, 0]], areas) > 0).all()
-    assert any(note.path == "/Cage" and "loop" in note.text for note in scene.notes)
-
-
 def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
     """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run
     evenly; the flat one beside it stays flat.
@@ -368,22 +280,6 @@ def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, t
     np.testing.assert_allclose(shape["texcoords"], np.stack([x, z], axis=1), atol=1e-6)
 
 
-def test_small_meshes_of_one_topology_are_told_apart(empty, polygon_mesh):
-    """A square, a dart and a square over the same four indices: each is covered once, though their faces are looked at
-    together.
-    """
-    stage = empty()
-    square, dart = [(0, 0), (2, 0), (2, 2), (0, 2)], [(0, 0), (2, 1), (0, 4), (1, 1)]
-    for number, outline in enumerate((square, dart, square)):
-        polygon_mesh(stage, f"/Face{number}", [(float(x), 5.0, float(z)) for x, z in outline], [4], [0, 1, 2, 3])
-    scene = translate(stage)
-    for number, outline in enumerate((square, dart, square)):
-        shape = scene.world[f"shape_{number}"]
-        signed = -area_vectors(shape["positions"], shape["faces"])[:, 1]
-        assert (signed > 0).all()
-        np.testing.assert_allclose(signed.sum(), shoelace(outline), rtol=1e-6)
-
-
 def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
     """Corner of valence 3: (9 v + 4 sum(e) + sum(f)) / 24 = (9 + 4 - 1) / 24; axes: 68 / 81, from one step by hand and
     the mask of valence 4.
@@ -402,22 +298,6 @@ def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
     assert (np.einsum("ij,ij->i", shape["normals"], toward) > 0.97).all()
     areas = area_vectors(p, shape["faces"])
     assert (np.einsum("ij,ij->i", p[shape["faces"][:, 0]], areas) > 0).all()
-
-
-def test_corners_of_a_crease_have_a_normal_for_each_side(empty, polygon_mesh, only_shape):
-    """A cube whose twelve edges are infinitely sharp stays one, with the normals of its sides."""
-    stage = empty()
-    mesh = polygon_mesh(stage, "/Cage", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
-    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
-    mesh.CreateCreaseIndicesAttr([0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 0, 4, 1, 5, 3, 7, 2, 6])
-    mesh.CreateCreaseLengthsAttr([5, 5, 2, 2, 2, 2])
-    mesh.CreateCreaseSharpnessesAttr([10.0] * 6)
-    shape = only_shape(translate(stage))
-    areas = area_vectors(shape["positions"], shape["faces"])
-    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), 24.0, rtol=1e-6)
-    flat = areas / np.linalg.norm(areas, axis=1, keepdims=True)
-    for k in range(3):
-        np.testing.assert_allclose(shape["normals"][shape["faces"][:, k]], flat, atol=1e-6)
 
 
 @pytest.mark.parametrize("fine_enough, triangles", [(subdivide.FINE_ENOUGH, 2 * 8 * 4**3), (8, 2 * 8)])
@@ -477,20 +357,6 @@ def test_varying_values_run_evenly_within_the_faces(
     if at_a_middle is not None:
         assert color((1.5, 2)) == pytest.approx(0.5, abs=1e-6)
         assert color((1.5, 2.5)) == pytest.approx(at_a_middle if scheme == "catmullClark" else 0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("kind, values", [
-    (Sdf.ValueTypeNames.Float3Array, [Gf.Vec3f(u, v, 9) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]),
-    (Sdf.ValueTypeNames.FloatArray, [0, 0, 1, 0, 1, 1, 0, 1]),
-])  # fmt: skip
-def test_coordinates_of_other_types_are_read(empty, polygon_mesh, only_shape, tmp_path, kind, values):
-    """A third number is left out; plain numbers go two by two."""
-    stage = empty()
-    mesh = polygon_mesh(stage, "/Quad", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
-    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", kind, "vertex").Set(values)
-    bind_texture(stage, mesh, tmp_path, "uv")
-    shape = only_shape(translate(stage))
-    np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
 
 
 def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):

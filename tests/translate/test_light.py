@@ -143,16 +143,6 @@ def test_flat_lights_shine_along_minus_z(empty, kind, mirror):
     )
 
 
-def test_a_rect_light_covers_width_and_height(empty):
-    stage = empty()
-    light = UsdLux.RectLight.Define(stage, "/Lamp")
-    light.CreateWidthAttr(3.0)
-    light.CreateHeightAttr(0.5)
-    _, shape = lamp_of(translate(stage))
-    corners = (shape["to_world"] @ np.array([[-1, -1, 0, 1], [1, 1, 0, 1]]).T).T[:, :3]
-    np.testing.assert_allclose(np.abs(corners), [[1.5, 0.25, 0.0]] * 2, atol=1e-7)
-
-
 def test_colour_temperature_tints_without_changing_luminance(empty):
     stage = empty()
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
@@ -195,23 +185,6 @@ def test_the_top_of_a_dome_map_is_its_pole(empty, tmp_path, up, kind, pole, want
     assert sky["type"] == "envmap"
     np.testing.assert_allclose(sky["to_world"][:3, 1], wanted, atol=1e-12)
     np.testing.assert_allclose(sky["bitmap"], pixels * [3.0, 1.5, 6.0], rtol=1e-5)
-
-
-def test_several_domes_add_up(empty, tmp_path):
-    """A constant is the same in all directions, so it may be added to a map."""
-    stage = empty()
-    pixels = np.random.default_rng(1).uniform(0, 1, (4, 8, 3)).astype(np.float32)
-    write(tmp_path / "sky.exr", pixels)
-    UsdLux.DomeLight.Define(stage, "/Map").CreateTextureFileAttr(str(tmp_path / "sky.exr"))
-    for name in "AB":
-        UsdLux.DomeLight.Define(stage, f"/{name}").CreateIntensityAttr(2.0)
-    scene = translate(stage)
-    np.testing.assert_allclose(scene.world["light_sky"]["bitmap"], pixels + 4.0, rtol=1e-5)
-    for path in ("/Map",):
-        stage.RemovePrim(path)
-    sky = translate(stage).world["light_sky"]
-    assert sky["type"] == "constant"
-    np.testing.assert_allclose(sky["radiance"]["value"], 4.0)
 
 
 def test_a_missing_sky_map_is_noted_and_leaves_its_colour(empty):

@@ -8,7 +8,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdUtils
 from support.looks import SQUARE, TYPES, linear, painted, put, shade, with_st, write
 
-from synfog_usd.translate import summary, translate
+from synfog_usd.translate import translate
 from synfog_usd.translate.texture import SRGB_TO_LINEAR
 
 CODES = np.random.default_rng(5).integers(0, 256, (4, 4, 4), dtype=np.uint8)
@@ -83,14 +83,6 @@ def test_opacity_masks(quad, opacity, threshold, wanted):
         np.testing.assert_allclose(bsdf["opacity"], wanted, rtol=1e-6)
 
 
-def test_emission_is_in_nits_and_sits_on_the_shape(quad):
-    stage, surface = quad
-    surface.CreateInput("emissiveColor", TYPES.Color3f).Set((50, 5, 0))
-    _, shape, _ = drawn(stage)
-    assert shape["emitter"]["type"] == "area"
-    np.testing.assert_allclose(shape["emitter"]["radiance"]["value"], [50, 5, 0])
-
-
 def test_without_a_reflection_a_surface_is_lambertian_at_every_angle(quad):
     """An index of 1: the BSDF times the cosine is albedo / pi times the cosine, from the normal to 85 degrees; Disney's
     diffuse part, which glows at grazing angles, does not follow from the specification.
@@ -130,16 +122,6 @@ def test_colour_space_of_an_8_bit_picture(quad, tmp_path, space, is_srgb):
         assert color["bitmap"].dtype == np.uint8
     else:
         np.testing.assert_allclose(color["bitmap"], CODES[..., :3] / 255, rtol=1e-6)
-
-
-@pytest.mark.parametrize("pixels", [CODES[..., :1], np.uint16(257) * CODES[..., :3].astype(np.uint16)])
-def test_auto_takes_grey_and_16_bit_pictures_as_linear(quad, tmp_path, pixels):
-    stage, surface = quad
-    write(tmp_path / "a.png", pixels)
-    textured(stage, surface, "diffuseColor", tmp_path / "a.png")
-    _, _, bsdf = drawn(stage)
-    wanted = np.broadcast_to(CODES[..., : pixels.shape[2]] / 255, (4, 4, 3))
-    np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], wanted, rtol=1e-5)
 
 
 def test_scale_and_bias_come_after_decoding(quad, tmp_path):
@@ -210,21 +192,6 @@ def test_pictures_inside_a_usdz_are_read(quad, tmp_path):
     (tmp_path / "a.png").unlink()
     _, _, bsdf = drawn(Usd.Stage.Open(str(tmp_path / "quad.usdz")))
     np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES[..., :3])
-
-
-def test_shapes_without_a_material_take_display_colour_or_grey(empty):
-    stage = empty()
-    UsdGeom.Cube.Define(stage, "/Plain")
-    UsdGeom.Xform.Define(stage, "/Group")
-    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Group")).CreatePrimvar(
-        "displayColor", TYPES.Color3fArray, "constant"
-    ).Set([(0.25, 0.5, 0.75)])
-    for name in "AB":
-        UsdGeom.Cube.Define(stage, f"/Group/{name}")
-    scene = translate(stage)
-    colors = [scene.world[scene.world[f"shape_{n}"]["bsdf"]["id"]]["bsdf"]["reflectance"]["value"] for n in range(3)]
-    np.testing.assert_allclose(colors, [[0.18] * 3, [0.25, 0.5, 0.75], [0.25, 0.5, 0.75]])
-    assert summary(scene)["materials"] == 2
 
 
 def test_an_unknown_shader_is_grey_and_noted(quad):

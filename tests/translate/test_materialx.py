@@ -30,40 +30,24 @@ STAGE = """#usda 1.0
 def Xform "World" (
     variants = { string fog = "clear" }
     prepend variantSets = "fog"
-)
-{
-    def Camera "Eye"
-    {
+) {
+    def Camera "Eye" {
         double3 xformOp:rotateXYZ = (90, 0, 0)
         uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
     }
-    def Mesh "Quad" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {
+    def Mesh "Quad" (prepend apiSchemas = ["MaterialBindingAPI"]) {
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
         point3f[] points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
-        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
-            interpolation = "vertex"
-        )
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")
         uniform token subdivisionScheme = "none"
         rel material:binding = </World/Paint>
     }
-    def Material "Paint" (
-        ARC
-    )
-    {
-    }
+    def Material "Paint" (ARC) {}
     variantSet "fog" = {
-        "clear" {
-        }
+        "clear" {}
         "other" {
-            over "Paint" (
-                ARC2
-            )
-            {
-            }
+            over "Paint" (ARC2) {}
         }
     }
 }
@@ -327,15 +311,6 @@ def test_a_file_lies_where_the_layer_that_names_it_lies(tmp_path, monkeypatch, n
     assert shader.GetAttribute("inputs:metalness").Get() == 0.75
 
 
-def test_a_file_that_is_nowhere_is_told_from_any_folder(tmp_path, monkeypatch, name="look/gone.mtlx"):
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    (tmp_path / "stage").mkdir()
-    stage = open_stage(placed(tmp_path / "stage", "", arc=f"references = @{name}@</MaterialX/Materials/Car>"))
-    (note,) = [note for note in composition_notes(stage) if "gone.mtlx" in note.text]
-    assert note.text.endswith(f"{name} is missing; drawn without it")
-
-
 def test_a_file_within_an_archive_is_told_as_what_it_is(tmp_path):
     """It is there, and is not read."""
     (tmp_path / "car.mtlx").write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
@@ -345,14 +320,6 @@ def test_a_file_within_an_archive_is_told_as_what_it_is(tmp_path):
             archive.write(tmp_path / name, name)
     told = [note.text for note in composition_notes(open_stage(tmp_path / "a.usdz")) if "car.mtlx" in note.text]
     assert len(told) == 1 and "is not read (it is within an archive; unpack that" in told[0]
-
-
-def test_a_file_may_be_a_sublayer(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path.parent)
-    (tmp_path / "car.mtlx").write_text(document(constant("metalness", "float", "0.75")), encoding="utf-8")
-    (tmp_path / "a.usda").write_text("#usda 1.0\n(\n    subLayers = [@car.mtlx@]\n)\n")
-    stage = open_stage(tmp_path / "a.usda")
-    assert stage.GetPrimAtPath("/MaterialX/Materials/Car") and not composition_notes(stage)
 
 
 def test_files_that_a_file_includes_are_not_read(tmp_path):

@@ -213,19 +213,3 @@ def test_a_picture_that_reflects_more_than_it_gets_is_told(painted, tmp_path):
     np.testing.assert_allclose(np.unique(colour), [0.0, 0.8, 1.0], atol=1e-6)
     (note,) = [note for note in scene.notes if note.path == "/M0/Surface" and "picture" in note.text]
     assert note.text.startswith("the picture of diffuseColor has values from 0 to 2, and 0 to 1 can be drawn")
-
-
-@pytest.mark.parametrize("interpolation, count", [("constant", 1), ("vertex", 4)])
-def test_a_display_colour_that_reflects_more_than_it_gets_is_told(painted, interpolation, count):
-    stage = painted(1)
-    mesh = stage.GetPrimAtPath("/Mesh0")
-    UsdShade.MaterialBindingAPI(mesh).UnbindAllBindings()
-    colours = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", TYPES.Color3fArray, interpolation)
-    colours.Set([(2, 0.5, -1)] * count)
-    scene = drawn_all(stage, 1)
-    shape = scene.world["shape_0"]
-    surface = scene.world[shape["bsdf"]["id"]]["bsdf"]
-    found = shape["vertex_color"] if count > 1 else [surface["reflectance"]["value"]]
-    np.testing.assert_allclose(found, [(1.0, 0.5, 0.0)] * count)
-    (note,) = [note for note in scene.notes if note.path == "/Mesh0"]
-    assert note.text.startswith("its colours go from -1 to 2")

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ from pxr import UsdGeom, UsdLux, UsdShade
 from support.looks import SQUARE, TYPES, linear, put, shade, with_st, write
 
 from synfog_usd.render.shot import render
-from synfog_usd.translate import texture, translate
-from synfog_usd.translate.diagnostics import Diagnostics
+from synfog_usd.translate import translate
 
 CODES = np.random.default_rng(6).integers(20, 236, (4, 4, 3), dtype=np.uint8)
 
@@ -538,26 +536,6 @@ def test_tiles_lie_side_by_side(quad, tmp_path):
         pixels[:4, 4:].mean(axis=(0, 1)), tiles[1012].mean(axis=(0, 1)), atol=6
     )  # grown to the others' size, filtered
     np.testing.assert_allclose(shape["texcoords"], shape["positions"][:, [0, 2]], atol=1e-6)
-
-
-def test_tiles_too_large_together_are_drawn_smaller(tmp_path, monkeypatch, wide=7):
-    """A ramp keeps its brightness where it has it, and the note says what is drawn."""
-    monkeypatch.setattr(texture, "MAX_PIXELS", 100)
-    ramp = np.broadcast_to(np.linspace(0, 252, wide)[None, :, None], (8, wide, 3)).astype(np.uint8)
-    files = []
-    for number, pixels in ((1001, ramp), (1002, ramp[:, ::-1])):
-        files.append((number, str(tmp_path / f"paint.{number}.png")))
-        write(Path(files[-1][1]), pixels.copy())
-    notes = Diagnostics()
-    name, none = str(tmp_path / "paint.<UDIM>.png"), (0.0,) * 4
-    node = texture.TextureNode("/Paint", name, name, "rgb", "raw", "", none, none, none, None, tuple(files))
-    pixels = texture.ImageReader(notes).of(node)
-    half = wide // 2
-    assert pixels.shape == (4, 2 * half, 3) and pixels.dtype == np.uint8
-    wanted = np.interp((np.arange(half) + 0.5) * wide / half - 0.5, np.arange(wide), ramp[0, :, 0])
-    np.testing.assert_allclose(pixels[1:3, :half, 0], np.broadcast_to(wanted, (2, half)), atol=9)
-    np.testing.assert_allclose(pixels[:, half:], pixels[:, half - 1 :: -1][:, :half], atol=2)
-    assert f"2 x 1 tiles are drawn with {half} x 4 pixels each" in notes.closed()[0].text
 
 
 def test_each_texture_is_looked_up_by_its_own_transform(quad, tmp_path):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdShade
+from pxr import Gf, Sdf, UsdLux, UsdShade
 from support.looks import TYPES, painted
 
 from synfog_usd.base import spectra
@@ -100,21 +100,6 @@ def test_what_is_no_spectrum_is_one_warning_with_its_prim_and_the_colour_counts(
     assert not scene.reflectance_of
 
 
-def test_a_spectrum_on_a_surface_that_takes_its_colour_from_vertices_is_one_warning(made):
-    stage, material, surface = made
-    UsdGeom.Mesh(stage.GetPrimAtPath("/Quad")).CreateDisplayColorPrimvar("vertex").Set(
-        [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
-    )
-    reader = UsdShade.Shader.Define(stage, "/Material/Reader")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", TYPES.String).Set("displayColor")
-    surface.GetInput("diffuseColor").ConnectToSource(reader.CreateOutput("result", TYPES.Float3))
-    put(material.GetPrim(), "leaf")
-    scene = translate(stage)
-    assert any("no base colour of its own" in warning for warning in warnings(scene))
-    assert not scene.reflectance_of
-
-
 def test_lights_have_the_spectra_that_stand_on_them(empty):
     """A ball, a lamp at a point, a sun, a sky of one colour, a lit mesh, and a material that shines."""
     stage = empty()
@@ -146,16 +131,6 @@ def test_a_shining_material_and_a_mesh_light_may_have_spectra(made):
     put(mesh, "A", TYPES.Token, spectra.EMISSION)
     (curve,) = translate(stage).emission_of.values()
     np.testing.assert_array_equal(curve, spectra.emission("A"))
-
-
-def test_several_skies_have_no_spectrum_and_say_so(empty):
-    stage = empty()
-    for path in ("/One", "/Two"):
-        UsdLux.DomeLight.Define(stage, path)
-    put(stage.GetPrimAtPath("/One"), "A", TYPES.Token, spectra.EMISSION)
-    scene = translate(stage)
-    assert any(warning.startswith("/One") and "several domes" in warning for warning in warnings(scene))
-    assert not scene.emission_of
 
 
 @pytest.mark.parametrize("name", ["soil", "paint", "tyre"])

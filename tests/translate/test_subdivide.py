@@ -167,26 +167,6 @@ def test_boundaries_and_creases_of_loop_are_cubic_splines(level, where):
     np.testing.assert_allclose(z, spline(heights[row])(x), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("sharpness", [0.5, 1.0, 2.0])
-def test_a_half_sharp_loop_corner_lies_between(sharpness):
-    """A corner of sharpness s: 1 after s hard steps, 24 / 55 without; a half lies midway between none and one."""
-    tips = np.concatenate([np.eye(3), -np.eye(3)])
-    sides = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)])
-
-    def limit(s):
-        cage = Cage(np.full(8, 3), sides.reshape(-1), corners=np.array([2]), corner_sharpness=np.array([s]))
-        return loop.subdivided(tips, cage, 4).points[2, 2]
-
-    # one hard step leaves the tip at 1 and its neighbours at (3/8)(1 + 0) + (1/8)(0 + 0), summed 4 x 3/8: 24/55 +
-    # (31/55)(3/8)
-    hard = 24 / 55 + 31 / 55 * 3 / 8
-    wanted = {0.5: (24 / 55 + hard) / 2, 1.0: hard}
-    if sharpness in wanted:
-        np.testing.assert_allclose(limit(sharpness), wanted[sharpness], rtol=1e-12)
-    else:
-        assert hard < limit(sharpness) < 1.0
-
-
 ROOF = np.vstack(
     [
         [(-1, -1, -1), (-1, -1, 1.2), (-1.1, 1, -1), (-1, 1.3, 1), (1, -1, -1.4), (1.2, -1, 1)],
@@ -291,37 +271,3 @@ def test_values_of_a_single_face_stay_but_by_none(rule, pinned):
     cage, values, st, point = torn(*HALVES)
     fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
     assert np.allclose(fine[np.flatnonzero(point == 0)], st[point == 0]) == pinned
-
-
-@pytest.mark.parametrize("rule, pinned", [("cornersPlus1", False), ("cornersPlus2", True)])
-def test_the_other_side_of_a_corner_stays_from_plus_two_on(rule, pinned):
-    """A region of one face in the middle of a sheet: its corners stay anyway, what is around them from plus two on."""
-    cage, values, st, point = torn(5, lambda x, y: ((x == 1) & (y == 1)).astype(int))
-    fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
-    single = np.bincount(values) == 1
-    inner = np.isin(point, point[single & np.isin(point, (6, 7, 11, 12))])
-    np.testing.assert_allclose(fine[single & inner], st[single & inner])
-    assert np.allclose(fine[~single & inner], st[~single & inner]) == pinned
-
-
-def test_the_end_of_a_seam_stays_by_plus_two():
-    """Two faces whose values differ along one edge only at its outer end: the seam ends within the sheet."""
-    cage, values, st, point = torn(5, lambda x, y: np.zeros_like(x))
-    lower_right = np.flatnonzero((cage.indices == 2) & (np.repeat(np.arange(16), 4) == 2))
-    values = values.copy()
-    values[lower_right] = len(st)
-    st, point = np.vstack([st, [9.0, 9.0, 0.0]]), np.append(point, 2)
-    for rule, pinned in (("cornersPlus1", False), ("cornersPlus2", True)):
-        fine = subdivided(st, cut_apart(cage, values, rule), 2).points[: len(st)]
-        assert np.allclose(fine[point == 7], st[point == 7]) == pinned
-
-
-def test_what_is_sharp_on_the_mesh_is_sharp_on_its_values():
-    """A crease through the values of one region makes them its spline."""
-    cage, values, st, point = torn(5, lambda x, y: np.zeros_like(x))
-    creased = subdivide.replace(
-        cage, creases=np.array([[2, 7], [7, 12], [12, 17], [17, 22]]), crease_sharpness=np.full(4, 10.0)
-    )
-    fine = subdivided(st, cut_apart(creased, values, "cornersOnly"), 2).points[: len(st)]
-    same = subdivided(st[np.argsort(point)], creased, 2).points
-    np.testing.assert_allclose(fine[np.argsort(point)], same[: len(st)], atol=1e-12)

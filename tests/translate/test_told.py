@@ -55,8 +55,7 @@ CUBE = 'def Cube "Box"\n{\n    double size = 2\n}\n'
 HOUSE = """def Xform "House" (
     kind = "component"
     prepend apiSchemas = ["GeomModelAPI"]
-)
-{
+) {
     uniform token model:drawMode = "cards"
     uniform token model:cardGeometry = "box"
     def Cube "Body" {}
@@ -78,8 +77,7 @@ DOME = """def DomeLight_1 "Sky"
     token poleAxis = "Z"
 }
 """
-PICTURE = """def Mesh "Plate" (prepend apiSchemas = ["MaterialBindingAPI"])
-{
+PICTURE = """def Mesh "Plate" (prepend apiSchemas = ["MaterialBindingAPI"]) {
     int[] faceVertexCounts = [4]
     int[] faceVertexIndices = [0, 1, 2, 3]
     point3f[] points = [(0, 0, -5), (1, 0, -5), (1, 1, -5), (0, 1, -5)]
@@ -87,17 +85,14 @@ PICTURE = """def Mesh "Plate" (prepend apiSchemas = ["MaterialBindingAPI"])
     uniform token subdivisionScheme = "none"
     rel material:binding = </Look>
 }
-def Material "Look"
-{
+def Material "Look" {
     token outputs:surface.connect = </Look/Surface.outputs:surface>
-    def Shader "Surface"
-    {
+    def Shader "Surface" {
         uniform token info:id = "UsdPreviewSurface"
         color3f inputs:diffuseColor.connect = </Look/Picture.outputs:rgb>
         token outputs:surface
     }
-    def Shader "Picture"
-    {
+    def Shader "Picture" {
         uniform token info:id = "UsdUVTexture"
         asset inputs:file = @sky.png@
         float2 inputs:st.connect = </Look/Reader.outputs:result>
@@ -106,8 +101,7 @@ def Material "Look"
         token inputs:sourceColorSpace = "sRGB"
         float3 outputs:rgb
     }
-    def Shader "Reader"
-    {
+    def Shader "Reader" {
         uniform token info:id = "UsdPrimvarReader_float2"
         string inputs:varname = "st"
         float2 outputs:result

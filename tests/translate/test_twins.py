@@ -41,10 +41,3 @@ def test_instances_in_one_place_are_drawn_up_to_a_number(empty):
     scene = translate(stage)
     assert len(drawn(scene, "instance_")) == MOST + 10
     assert [note.text.split()[0] for note in told(scene)] == [str(50 - MOST)]
-
-
-def test_few_in_one_place_are_left_and_nothing_is_told(empty):
-    stage = empty()
-    cubes(stage, [(0.0, 10.0, 0.0)] * MOST)
-    scene = translate(stage)
-    assert len(drawn(scene)) == MOST and not told(scene)

@@ -562,21 +562,6 @@ def test_fog_is_read_without_the_plugin(tmp_path):
     assert done.stdout.strip() == "[('/Fog', 120.0, 0.87), ('/Far', 300.0, 0.87)]", done.stderr
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the real files beside the project")
-def test_the_exported_fog_box_is_fog():
-    scene = translate(Usd.Stage.Open(str(SHARED / "blender501" / "street_zup.usda")))
-    (volume,) = scene.fog
-    np.testing.assert_allclose(volume.medium.visibility_m, 300.0)
-    np.testing.assert_allclose(np.ptp(volume.boundary.surface_points(), axis=0), [40, 140, 20], rtol=1e-6)
-    assert volume.boundary.contains(scene.camera.to_world[:3, 3])[0]
-    kinds = sorted(
-        part["emitter"]["type"] if "emitter" in part else part["type"]
-        for key, part in scene.world.items()
-        if key.startswith(("shape_", "light_"))
-    )
-    assert kinds == ["area"] * 4 + ["constant", "directional"] + ["mesh"] * 5 + ["photometric"]
-
-
 def test_more_pairs_of_fogs_than_can_be_looked_at_are_refused(monkeypatch):
     monkeypatch.setattr(volume, "MAX_PAIRS", 100)
     with pytest.raises(volume.FogError, match="more than 100 pairs of fog boundaries may touch"):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender, UsdSemantics
 
 from synfog_usd.translate import summary, translate
 
@@ -274,15 +274,6 @@ def test_shapes_of_no_size_are_noted(empty, scale):
     scene = translate(stage)
     assert summary(scene)["shapes"] == 0
     assert {"/Box", "/Ball", "/Lamp"} <= {note.path for note in scene.notes}
-
-
-def test_the_stage_is_not_written_to(empty, polygon_mesh):
-    stage = empty()
-    polygon_mesh(stage, "/Mesh", [(0, 5, 0), (1, 5, 0), (1, 5, 1)], [3], [0, 1, 2])
-    UsdLux.DomeLight.Define(stage, "/Sky")
-    before = [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
-    translate(stage)
-    assert before == [layer.ExportToString() for layer in (stage.GetRootLayer(), stage.GetSessionLayer())]
 
 
 def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):

@@ -7,11 +7,6 @@ from support.looks import SQUARE, painted, picture_of, with_st, write
 from synfog_usd.render import backend
 from synfog_usd.render.load import make_bsdf
 from synfog_usd.translate import translate
-from synfog_usd.translate.wrap import wrapped
-
-PICTURE = np.random.default_rng(7).uniform(0.1, 1.0, (3, 5, 1)).astype(np.float32)
-MODES = ("repeat", "mirror", "clamp", "black")
-OUTSIDE = np.array([0.05], dtype=np.float32)
 
 
 def texel(pixels, u, v, wraps):
@@ -30,27 +25,6 @@ def texel(pixels, u, v, wraps):
             number = number if number < size else 2 * size - 1 - number
         found.append(min(max(number, 0), size - 1))
     return float(pixels[pixels.shape[0] - 1 - found[1], found[0], 0])
-
-
-@pytest.mark.parametrize("wrap_v", MODES)
-@pytest.mark.parametrize("wrap_u", MODES)
-def test_every_pair_of_modes_shows_what_each_says(wrap_u, wrap_v):
-    """All middles of texels from -1 to 2: the picture made for one mode shows what the bare one shows for two.
-
-    A rim of one texel around a black surround keeps the picture's own colour, and is left out.
-    """
-    made = wrapped(PICTURE, (wrap_u, wrap_v), OUTSIDE)
-    height, width = PICTURE.shape[:2]
-    assert made.mode in ("repeat", "mirror", "clamp")
-    for row in range(-height, 2 * height):
-        for column in range(-width, 2 * width):
-            if (wrap_u == "black" and column in (-1, width)) or (wrap_v == "black" and row in (-1, height)):
-                continue
-            u, v = (column + 0.5) / width, (row + 0.5) / height
-            wanted = texel(PICTURE, u, v, (wrap_u, wrap_v))
-            u, v = (place * scale + shift for place, scale, shift in zip((u, v), made.scale, made.shift, strict=True))
-            found = texel(made.pixels, u, v, (made.mode,) * 2)
-            assert found == pytest.approx(float(OUTSIDE[0]) if wanted is None else wanted), (row, column)
 
 
 def stage_with(empty, polygon_mesh, file, **inputs):

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender
 
 from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.lamps import lamp_of
-from synfog_usd.world.roads import asphalt, works
+from synfog_usd.world.roads import asphalt
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "stages" / "recipes"
@@ -59,34 +59,6 @@ def test_rain_does_not_fall_on_a_dry_road():
 
 
 # -- who and what
-
-
-@pytest.mark.parametrize("name", ["arterial", "motorway", "rural"])
-def test_works_stand_beside_the_lanes_and_hold_their_workers(name):
-    """The site keeps off lanes and zebras, workers stand within its boards, and nothing else does."""
-    found = 0
-    for seed in range(2):
-        world = drawn(name, seed, "works.where=right", "works.ahead_m=15")
-        site = world.built["works"]
-        if site is None:
-            continue
-        found += 1
-        kinds = {world.road.lane_section.at(t).kind for t in (site.low, site.high)}
-        assert kinds <= {"pavement", "shoulder", "verge"}
-        assert all(zebra < site.s or zebra > site.s + site.length for zebra in world.road.zebras)
-        inside = []
-        for p in world.placed:
-            s, t = (float(v) for v in world.road.reference_line.nearest(p.x, p.y))
-            if site.s < s < site.s + site.length and site.low < t < site.high:
-                inside.append(p.asset)
-        assert 1 <= len(inside) <= 2 and set(inside) == {"worker"}
-        points = np.concatenate([part.points for part in works.built(world.road, site).parts])
-        s, t = world.road.reference_line.nearest(points[:, 0], points[:, 1])
-        height = points[:, 2] - world.road.ground(s, t)
-        assert (
-            height.max() == pytest.approx(1.0, abs=0.12) and height.min() > -0.7
-        )  # the heap and the verge's fall go below
-    assert found >= 1
 
 
 # -- skies, cameras, products

@@ -18,7 +18,7 @@ from support.sight import model as shape
 
 from synfog_usd.world import language
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import horizon, land, markings, rules, surface, traffic
+from synfog_usd.world.roads import horizon, land, markings, rules, surface
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
@@ -241,18 +241,6 @@ def test_wheels_touch_the_road_on_slopes(name):
                 )
         checked += 1
     assert checked >= 4
-
-
-def test_vehicles_keep_the_distance_in_which_they_can_stop():
-    """Bumper to bumper at least 1.5 m and 0.9 s at 54 km/h in 200 draws of a lane, and no order is lost."""
-    least = 1.5 + 15.0 * 0.9
-    rng = np.random.Generator(np.random.PCG64(3))
-    for _ in range(200):
-        lengths = list(rng.uniform(3.5, 12.0, int(rng.integers(0, 14))))
-        places = list(traffic.queue(rng, (20.0, 220.0), lengths, least))
-        for (a, length_a), (b, length_b) in itertools.pairwise(zip(places, lengths, strict=False)):
-            assert b - a - (length_a + length_b) / 2 >= least - 1e-9
-        assert all(20.0 + n / 2 - 1e-9 <= at <= 220.0 - n / 2 + 1e-9 for at, n in zip(places, lengths, strict=False))
 
 
 def test_a_bus_hides_a_car_and_a_crest_hides_both():

@@ -133,16 +133,6 @@ def _island_edges(junction, x, y):
                 yield t, s, float(junction.half_width(low, high, inside)), low if s - low < high - s else high
 
 
-def test_no_two_sheets_of_the_ground_lie_in_one_plane():
-    """At 400 places no two triangles cover the same place within a centimetre of height: nothing flickers."""
-    junction = plain()
-    triangles = ground_triangles(junction)
-    rng = np.random.Generator(np.random.PCG64(4))
-    for x, y in rng.uniform(-55, 55, (400, 2)):
-        found = heights(triangles, x, y)
-        assert len(found) < 2 or np.diff(found).min() > 0.01, (x, y, found)
-
-
 # -- what stands where
 
 

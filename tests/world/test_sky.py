@@ -186,24 +186,6 @@ def test_files_say_what_they_are(name):
     assert (read.sun_height_deg, read.sun_azimuth_deg) == (one.sun_height_deg, one.sun_azimuth_deg)
 
 
-@pytest.mark.physics  # slow: the whole box of cloud
-def test_a_shipped_sky_is_what_the_code_paints():
-    """The same clouds from far fewer rows: both reduced to 16 rows, they agree but for what falls between rows."""
-    small = sky.paint("sunset_altocumulus", rows=32) @ REC709
-    large = picture("sunset_altocumulus")[0] @ REC709
-    a, b = (
-        small.reshape(16, 2, 32, 2).mean(axis=(1, 3))[:7],
-        large.reshape(16, ROWS // 16, 32, COLUMNS // 32).mean(axis=(1, 3))[:7],
-    )
-    assert np.corrcoef(np.log(a).ravel(), np.log(b).ravel())[0, 1] > 0.97
-
-
-def test_painting_repeats_and_names_differ():
-    one, two = (sky.paint("rain", rows=16, cells=48) for _ in range(2))
-    assert one.tobytes() == two.tobytes()
-    assert not np.allclose(one, sky.paint("storm_front", rows=16, cells=48))
-
-
 @pytest.mark.parametrize("heading", [0.0, 120.0])
 def test_a_dome_shows_the_bright_side_where_the_sun_is(heading):
     """The picture's place on the sphere as UsdLux has it (centre +Z, a quarter from the left +X, top +Y), moved by the
