@@ -279,9 +279,7 @@ def test_a_child_is_begun_with_its_parents_settings(tmp_path, variable, value, f
 
 
 def test_variables_that_name_code_are_not_handed_on(monkeypatch):
-    """Those of OpenUSD, OpenImageIO, MaterialX and CUDA; and of the paths of programs and libraries the folders alone
-    that are the same wherever one stands.
-    """
+    """Those of OpenUSD, OpenImageIO, MaterialX and CUDA."""
     foreign = (
         *("PXR_PLUGINPATH_NAME", "PXR_AR_DEFAULT_SEARCH_PATH", "PXR_MTLX_STDLIB_SEARCH_PATHS"),
         *("PXR_SDR_FS_PLUGIN_SEARCH_PATHS", "PXR_USD_WINDOWS_DLL_PATH", "OIIO_LIBRARY_PATH", "OPENIMAGEIO_OPTIONS"),

@@ -16,9 +16,7 @@ KINDS = [("recipe", load, RecipeError), ("data set", load_set, SetError), ("pipe
 
 @pytest.mark.parametrize("kind, read, error", KINDS)
 def test_a_bare_name_is_what_ships_and_a_path_is_a_file(kind, read, error, tmp_path, monkeypatch):
-    """From any folder, also one with a folder of that name, as a bake leaves; a name or file that is not there is told
-    with those that are.
-    """
+    """From any folder, also one with a folder of that name, as a bake leaves."""
     monkeypatch.chdir(tmp_path)
     for name in resources.shipped(kind):
         assert resources.named(Path(name), kind).stem == name

@@ -7,9 +7,7 @@ import sys
 
 
 def test_colour_science_comes_without_matplotlib_and_with_its_numbers():
-    """A process of its own, since others here draw: the standard observer is there, Matplotlib is not, and a second
-    call gives the same module.
-    """
+    """A process of its own, since others here draw: the standard observer is there, Matplotlib is not."""
     text = (
         "import sys\nfrom synfog_usd.base.science import colour_science\nfound = colour_science()\n"
         "print('matplotlib' in sys.modules, found is colour_science(), "

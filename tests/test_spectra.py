@@ -40,9 +40,7 @@ def test_reflectances_are_between_black_and_white_and_say_where_they_are_from(na
 
 
 def test_a_leaf_has_its_green_peak_and_its_red_edge_where_they_are_measured():
-    """Peak at 545 to 560 nm, least at 670 to 680 nm, steepest at 690 to 730 nm, 40 to 50 % beyond; and more chlorophyll
-    shifts the edge to longer waves.
-    """
+    """Peak at 545 to 560 nm, least at 670 to 680 nm, steepest at 690 to 730 nm, 40 to 50 % beyond."""
     curve = spectra.reflectance("leaf")
     seen = (NM >= 500) & (NM <= 600)
     red = (NM >= 620) & (NM <= 720)
@@ -158,9 +156,7 @@ MATERIALS = {name: material for name, material in PALETTE.items() if material.sp
 
 @pytest.mark.parametrize("name", list(MATERIALS))
 def test_materials_of_the_palette_have_spectra_of_about_their_colour(name):
-    """Where the colour is not a texture's: within 0.05 in x and y of what D65 shows of the spectrum; signs keep to
-    their standard instead.
-    """
+    """Where the colour is not a texture's: within 0.05 in x and y of what D65 shows of the spectrum."""
     material = MATERIALS[name]
     assert material.spectrum in (spectra.PAINT, *spectra.TABLE)
     if material.texture or material.spectrum == spectra.PAINT or material.spectrum.startswith("sheeting"):

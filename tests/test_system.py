@@ -65,9 +65,7 @@ def test_every_module_is_imported_without_what_windows_has_not():
 
 
 def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
-    """Opening, limits, translation, findings, terminal and the output folder's lock; a second writer is refused, and
-    nothing is left behind.
-    """
+    """Opening, limits, translation, findings, terminal and the output folder's lock."""
     path, out = tmp_path / "street.usda", tmp_path / "out"
     path.write_text(street(lamp=True), encoding="utf-8")
     done = child(

@@ -24,9 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def has_usd():
-    """Whether the Python that is asked has Blender's own USD library: bpy 4.2's wheels have none, and the hook that
-    writes schemas then rests.
-    """
+    """Whether the Python that is asked has Blender's own USD library: bpy 4.2's wheels have none."""
     code = "import bpy; from pathlib import Path; place = Path(bpy.utils.system_resource('SCRIPTS')).parent"
     code += "; print(list(place.glob('python/lib/*/*/pxr')))"
     return bool(BPY) and "pxr" in subprocess.run([BPY, "-c", code], capture_output=True, text=True, timeout=60).stdout

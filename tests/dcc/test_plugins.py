@@ -99,9 +99,7 @@ def menu(plugin, usdview):
 
 
 def test_boxes_of_fog_are_shown_where_they_are(plugin, stage):
-    """Guides are switched on and off, the box is selected and faint on the session layer; the file's layer and the edit
-    target stay.
-    """
+    """Guides are switched on and off, the box is selected and faint on the session layer."""
     usdview = Application(stage)
     fog = menu(plugin, usdview)["fog"]
     target, before = stage.GetEditTarget(), stage.GetRootLayer().ExportToString()

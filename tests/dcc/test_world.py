@@ -57,9 +57,7 @@ def road(tmp_path_factory):
 
 
 def test_usd_without_our_plugin_reads_all_of_a_world(road):
-    """Nothing of ours is loaded, nothing fails to compose, nothing is said; the fog's numbers are there under their
-    names.
-    """
+    """Nothing of ours is loaded, nothing fails to compose, nothing is said."""
     _, told, words = road
     assert told["ours"] == [] and told["errors"] == [] and words == ""
     (fog,) = told["fog_attributes"].values()
@@ -93,9 +91,7 @@ def test_blender_finds_no_mesh_to_repair(opened):
 
 
 def test_blenders_cameras_stand_and_look_as_authored(road, opened):
-    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees.  Blender numbers a name that something else, such as a car's
-    back, has already.
-    """
+    """To 1 mm, 1e-3 of a turn's matrix and 1e-3 degrees."""
     wanted, found = (
         road[1]["cameras"],
         {name.partition(".")[0]: camera for name, camera in opened[0]["cameras"].items()},

@@ -404,9 +404,7 @@ def library(files):
 
 
 def test_packages_with_odd_members(tmp_path):
-    """A .usdz opens where its first member is a good layer and nothing is compressed; what else it holds is never
-    opened or unpacked.
-    """
+    """A .usdz opens where its first member is a good layer and nothing is compressed."""
     outside = 'def "A" (\n    references = @../outside.usda@\n)\n{\n}\n'
     written(tmp_path / "outside.usda", HEAD)
     (tmp_path / "in").mkdir()
@@ -452,9 +450,7 @@ def test_packages_with_odd_members(tmp_path):
 
 
 def test_damaged_binary_files_end_in_one_line(tmp_path):
-    """A .usdc cut short at twelve places is refused; with bytes changed at twelve, it opens, is refused, or takes its
-    child down and is one line.
-    """
+    """A .usdc cut short at twelve places is refused."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "whole.usdc"))
     for n in range(40):
         UsdGeom.Mesh.Define(stage, f"/World/M{n}").CreatePointsAttr([(n, 0, 0)] * (n + 3))
@@ -842,9 +838,7 @@ def test_lamps_beyond_the_limit_are_refused_by_their_number(tmp_path, kind, prot
 
 
 def test_kinds_of_lit_surfaces_and_their_triangles_are_refused_by_their_number(tmp_path, monkeypatch):
-    """A thousand intensities are drawn, one more is not, nor are stretched balls of more triangles than can shine; as
-    many of one kind are.
-    """
+    """A thousand intensities are drawn, one more is not, nor are stretched balls of more triangles than can shine."""
     each = "    float inputs:intensity = 1{n}\n"
     translate(open_stage(lamps(tmp_path, budget.MAX_LIT_KINDS, inputs=each)))
     many = budget.MAX_LIT_KINDS + 1

@@ -166,9 +166,7 @@ def test_the_shipped_stage_finds_all_its_assets_in_the_wheel(away):
 
 
 def test_the_wheel_bakes_where_there_is_no_checkout(away, content):
-    """Fog schema, default pipeline, sensor and lens come from the unpacked wheel, and nothing is written beside
-    them.
-    """
+    """Fog schema, default pipeline, sensor and lens come from the unpacked wheel."""
     site, empty, run = away
     (empty / "street.usda").write_text(street())
     run(

@@ -219,9 +219,7 @@ def test_every_model_is_one_thing_of_its_class(parked):
 
 
 def test_models_have_the_size_of_cars_and_people(parked):
-    """Boxes in metres at the instance's distance, from a focal length of 0.35 / 0.36 of the picture's width; posed
-    people do not spread their arms.
-    """
+    """Boxes in metres at the instance's distance, from a focal length of 0.35 / 0.36 of the picture's width."""
     out, _ = parked
     instances = {
         row["path"].rpartition("/")[2]: row for row in json.loads((out / "labels.json").read_text())["instances"]

@@ -130,9 +130,7 @@ def test_a_unit_is_mended_where_it_alone_fits_all(written, lengths, metres, unit
 
 @pytest.mark.parametrize("inner", [False, True])
 def test_a_reference_in_other_units_is_scaled_in_its_place(written, tmp_path, inner):
-    """A car in centimetres, moved by the stage in metres or by its own file in centimetres, ends 4.5 m long at 20 m;
-    the stage's unit stays.
-    """
+    """A car in centimetres, moved by the stage in metres or by its own file in centimetres, ends 4.5 m long at 20 m."""
     own, place = (MOVED.format(at=2000), "") if inner else ("", MOVED.format(at=20))
     head = HEAD.format(metres=0.01).replace("(\n", '(\n    defaultPrim = "Car"\n', 1)
     (tmp_path / "car.usda").write_text(f'{head}def Cube "Car"\n{{\n        double size = 450\n{own}}}\n')

@@ -59,9 +59,7 @@ def test_purposes_of_a_binding(empty, square, only_shape, bound, wanted):
     "strength, wanted", [("weakerThanDescendants", (GREEN, RED)), ("strongerThanDescendants", (RED, RED))]
 )
 def test_strength_of_a_binding_above(empty, square, instanceable, strength, wanted):
-    """A binding above wins over what is bound below where it says so, within instances too; what is bare takes it
-    always.
-    """
+    """A binding above wins over what is bound below where it says so, within instances too."""
     stage = empty()
     stage.CreateClassPrim("/Car")
     bind(square(stage, "/Car/Body"), paint(stage, "/Car/Green", GREEN))
@@ -104,9 +102,7 @@ def reads_too(stage, name, value):
     ("", None, [(0.25, 0.5, 0.75)] * 4),
 ])  # fmt: skip
 def test_a_reader_takes_the_primvar_that_it_names(empty, square, only_shape, interpolation, values, wanted):
-    """By point, or one for all; its fallback where the mesh has none.  displayColor, which it does not name, stays
-    out.
-    """
+    """By point, or one for all; its fallback where the mesh has none."""
     stage = empty()
     prim = square(stage, "/Mesh")
     UsdGeom.Mesh(prim).CreateDisplayColorPrimvar("vertex").Set([(0.5, 0.5, 0.5)] * 4)
@@ -396,9 +392,7 @@ def test_instancers_within_instancers(empty, square, inner, name="tint"):
 
 @pytest.mark.parametrize("frame, place", [(None, 10.0), (7, 15.0), (9, 20.0)])
 def test_a_stage_without_a_first_frame_is_drawn_at_its_first_sample(empty, square, only_shape, frame, place):
-    """Samples at 5 and 9 and no default: the place is the first's, not the origin; points and visibility are those of
-    the same frame.
-    """
+    """Samples at 5 and 9 and no default: the place is the first's, not the origin."""
     stage = empty()
     above = UsdGeom.Xform.Define(stage, "/Above")
     move = above.AddTranslateOp()

@@ -35,9 +35,7 @@ def define(stage, points, counts, **more):
 
 
 def test_a_straight_wire_has_its_diameter(empty, only_shape):
-    """Widths are diameters: a tube of 8 sides has 2 pi r L of side, as the circle whose outline it keeps; no end
-    caps.
-    """
+    """Widths are diameters: a tube of 8 sides has 2 pi r L of side, as the circle whose outline it keeps."""
     stage = empty()
     define(stage, [(0, 5, 0), (3, 5, 0)], [2], type="linear")
     shape = only_shape(translate(stage))
@@ -79,9 +77,7 @@ def test_cubic_curves_run_along_their_splines(empty, only_shape, basis, wrap, po
 
 @pytest.mark.parametrize("basis", ["bspline", "catmullRom"])
 def test_periodic_curves_close(empty, only_shape, basis):
-    """A ring of 12 points is as many segments; its first and last ring of the tube are at one place, and none is far
-    from the circle.
-    """
+    """A ring of 12 points is as many segments."""
     stage = empty()
     angle = np.arange(12) * 2 * np.pi / 12
     define(
@@ -123,9 +119,7 @@ def test_widths_of_every_interpolation(empty, only_shape, interpolation, widths,
 
 
 def test_points_are_balls_of_their_width(empty, only_shape):
-    """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn; colours stay with their
-    points.
-    """
+    """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn."""
     stage = empty()
     cloud = UsdGeom.Points.Define(stage, "/Points")
     cloud.CreatePointsAttr([(0, 5, 0), (2, 5, 0), (4, 5, 0)])
@@ -154,9 +148,7 @@ def test_broken_curves_are_left_out_with_a_note(empty, change):
 
 
 def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape):
-    """Between points the curve is SciPy's cubic of the same values and slopes; widths run evenly from point to
-    point.
-    """
+    """Between points the curve is SciPy's cubic of the same values and slopes."""
     stage = empty()
     tangents = np.array([(1, 0, 3), (2, 0, 0), (1, 1, -3)], dtype=float)
     points = np.array([(0, 5, 0), (1, 5, 1), (3, 5, 0)], dtype=float)

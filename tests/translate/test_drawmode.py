@@ -68,9 +68,7 @@ def test_cards_cross_the_model_or_lie_on_its_box(house, kind, apart):
 
 
 def test_a_picture_stands_upright_and_is_seen_through_from_behind(house, tmp_path):
-    """A picture for -Y alone: its left edge is at small x on both sides, its top at large z; other axes have no card;
-    what its alpha leaves out is not drawn.
-    """
+    """A picture for -Y alone: its left edge is at small x on both sides, its top at large z."""
     _, draw = house
     codes = np.zeros((2, 2, 4), dtype=np.uint8)
     codes[..., 3] = [[255, 255], [255, 0]]

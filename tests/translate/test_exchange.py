@@ -188,9 +188,7 @@ SAID = {
 
 @pytest.mark.parametrize("what", SAID)
 def test_what_another_variant_leaves_alone_is_taken_over(what):
-    """A second lighting that says something of one of three plates: the scene is as if it were translated by itself,
-    and plates of which it says nothing are the same arrays in both.
-    """
+    """A second lighting that says something of one of three plates: the scene is as if it were translated by itself."""
     text = TWO.replace("SAID", SAID[what])
     stage, alone = stage_of(text), stage_of(text)
     day = Exchange(stage, resolution=(32, 18))

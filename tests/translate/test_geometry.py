@@ -78,9 +78,7 @@ def zigzag(n):
 
 @pytest.mark.parametrize("shape", [spiral, zigzag])
 def test_long_outlines_are_covered_once(shape, n=4_000):
-    """An outline of thousands of corners that no fan covers; cutting ears one by one took the cube of their number,
-    which was hours.
-    """
+    """An outline of thousands of corners that no fan covers."""
     flat = shape(n)
     points, normal = tilted(flat, np.random.default_rng(1))
     triangles, _, crossed = triangulate(points, np.array([len(flat)]), ONE, np.arange(len(flat)), np.array([True]))
@@ -93,9 +91,7 @@ def test_long_outlines_are_covered_once(shape, n=4_000):
 
 @pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 3, 1, 4, 2, 5]])
 def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
-    """A bow tie and a tangled hexagon: drawn as well as they can be, and noted with the number of the
-    face.
-    """
+    """A bow tie and a tangled hexagon: drawn as well as they can be."""
     n = len(order)
     angle = 2 * np.pi * np.array(order) / n + 0.3
     stage = empty()
@@ -224,9 +220,7 @@ def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon
 
 @pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
 def test_normals_without_length_are_made_from_the_faces_around(empty, polygon_mesh, only_shape, interpolation):
-    """Of a cube's corners, one has no normal: it gets the mean of its sides by area, the others keep the author's; a
-    face's own corner gets its side's.
-    """
+    """Of a cube's corners, one has no normal: it gets the mean of its sides by area, the others keep the author's."""
     stage = empty()
     mesh = polygon_mesh(stage, "/Box", [(x, y + 5, z) for x, y, z in BOX], [4] * 6, QUADS)
     authored = np.array(BOX if interpolation == "vertex" else [BOX[k] for k in QUADS], dtype=float)
@@ -261,9 +255,7 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
 
 
 def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
-    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere, and its coordinates run
-    evenly; the flat one beside it stays flat.
-    """
+    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere."""
     stage = empty()
     flat = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0, 2.0)]
     mesh = polygon_mesh(
@@ -305,9 +297,7 @@ def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
 def test_coordinates_and_holes_follow_a_subdivided_mesh(
     empty, polygon_mesh, only_shape, tmp_path, monkeypatch, interpolation, fine_enough, triangles
 ):
-    """On a flat square the surface is the square but for its boundary rule; u runs with x and v with z, by corners or
-    points; a hole stays one.  So too where the cage is fine enough not to be divided.
-    """
+    """On a flat square u runs with x and v with z, by corners or points; a hole stays one."""
     monkeypatch.setattr(subdivide, "FINE_ENOUGH", fine_enough)
     stage = empty()
     points = [(x, 5, z) for z in range(4) for x in range(4)]
@@ -416,9 +406,7 @@ def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, coun
 
 @pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
 def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape, scheme):
-    """A cube that says it is divided is the same limit surface with and without normals of its own; one that says
-    nothing is polygons.
-    """
+    """A cube that says it is divided is the same limit surface with and without normals of its own."""
     faces = (
         QUADS
         if scheme == "catmullClark"
@@ -460,9 +448,7 @@ def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
 
 
 def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape):
-    """One such array refused the whole stage; now it is told by its prim, at each translation, and the file stays as it
-    is.
-    """
+    """It is told by its prim at each translation, and the file stays as it is."""
     line, name = "float normals = 3", "normals is a float, and a normal3f[] is wanted"
     stage = opened(tmp_path, f"point3f[] points = {SQUARE}\n    {line}")
     for _ in range(2):

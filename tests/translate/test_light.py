@@ -34,9 +34,7 @@ def strength(emitter, name="radiance"):
     ("CylinderLight", {"radius": 0.1, "length": 1.5}, 2 * math.pi * 0.1 * 1.5),
 ])  # fmt: skip
 def test_normalize_divides_by_the_area_in_stage_units(empty, kind, size, units2, metres_per_unit):
-    """L = intensity 2^exposure color / area; without 'normalize' the area does not count. Caps of a cylinder do not
-    shine.
-    """
+    """L = intensity 2^exposure color / area; without 'normalize' the area does not count."""
     stage = empty(metres_per_unit=metres_per_unit)
     prim = stage.DefinePrim("/Lamp", kind)
     light = UsdLux.LightAPI(prim)
@@ -101,9 +99,7 @@ def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit)
 
 
 def test_a_headlight_shines_along_its_minus_z(empty):
-    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2; nothing beyond the cutoff, half of it in the
-    middle of the smoothstep.
-    """
+    """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2."""
     stage = empty()
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
     light.CreateRadiusAttr(0.05)

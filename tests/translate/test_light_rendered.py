@@ -15,9 +15,7 @@ RED, GREEN = 0, 1
 
 
 def irradiance(stage, position, normal, samples=1 << 18):
-    """(3,) irradiance [lx] at a point, by the emitters' own sampling; and its standard error, relative, of the largest
-    channel.
-    """
+    """(3,) irradiance [lx] at a point, by the emitters' own sampling; relative standard error."""
     return irradiance_of(loaded_of(stage), position, normal, samples)
 
 

@@ -84,9 +84,7 @@ def test_opacity_masks(quad, opacity, threshold, wanted):
 
 
 def test_without_a_reflection_a_surface_is_lambertian_at_every_angle(quad):
-    """An index of 1: the BSDF times the cosine is albedo / pi times the cosine, from the normal to 85 degrees; Disney's
-    diffuse part, which glows at grazing angles, does not follow from the specification.
-    """
+    """An index of 1: the BSDF times the cosine is albedo / pi times the cosine, from the normal to 85 degrees."""
     from synfog_usd.render.load import to_mitsuba
 
     stage, surface = quad
@@ -222,9 +220,7 @@ def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):
     ((3, 1, 2), (0, 0, 0), None),
 ])  # fmt: skip
 def test_normal_maps_are_drawn_as_their_scale_and_bias_turn_them(quad, tmp_path, scale, bias, slope):
-    """Green turned is DirectX's handedness; half the scale, half the slope; what puts a flat map askew or inside out is
-    left out with a note.
-    """
+    """Green turned is DirectX's handedness; half the scale, half the slope."""
     stage, surface = quad
     codes = np.array([[(128, 128, 255), (180, 90, 220), (60, 200, 230)]], dtype=np.uint8)
     write(tmp_path / "bumps.png", codes)
@@ -260,9 +256,7 @@ def test_the_specular_workflow_is_its_colour_and_its_picture(quad, tmp_path):
 
 
 def test_materials_that_say_the_same_are_drawn_alike_and_told_one_by_one(empty, polygon_mesh):
-    """Four quads: two materials of one colour are one BSDF, and each is told of its displacement; of two that read
-    their colour from a prim elsewhere each has the colour that stands there.
-    """
+    """Four quads: two materials of one colour are one BSDF, and each is told of its displacement."""
     stage = empty()
     red, blue = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8)
     for number, (colour, elsewhere) in enumerate([(red, False), (red, False), (red, True), (blue, True)]):

@@ -178,9 +178,7 @@ def test_colours_of_other_spaces_are_made_linear_rec709(tmp_path):
 
 
 def test_the_file_counts_as_part_of_the_stage(tmp_path):
-    """It and its pictures are dependencies; a change of it changes the hash, wherever the folder lies; nothing is
-    written, and nothing can be.
-    """
+    """It and its pictures are dependencies; a change of it changes the hash, wherever the folder lies."""
     write(tmp_path / "one/look/a.png", CODES)
     text = document(
         '<input name="base_color" type="color3" nodename="i"/>',

@@ -179,9 +179,7 @@ def test_an_input_that_a_plugin_does_not_take_is_left_out(folder, name):
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_the_renderer_says_what_it_does_not_draw(folder, name):
-    """Believed, such a material refuses the whole scene or the picture; asked, Mitsuba's reason stands in the note, and
-    the usual surface is drawn.
-    """
+    """Asked, Mitsuba says why, which stands in the note; the usual surface is drawn."""
     path = stage_of(folder, [REFUSED[name]])
     scene, _, believed = drawn(path)
     assert believed["type"] == REFUSED[name][0]

@@ -46,9 +46,7 @@ def image(shader, name, file, kind="ND_image_color3", output="out", space="srgb_
 
 
 def test_standard_surface_weighs_its_picture(quad, tmp_path):
-    """base x base_color, decoded from sRGB as its colour space says; roughness, metalness, coat, opacity and emission x
-    weight as numbers.
-    """
+    """base x base_color, decoded from sRGB as its colour space says."""
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     shader(
@@ -218,9 +216,7 @@ def test_alpha_counts_as_gltfs_mode_says(quad, mode, alpha, more, seen):
 
 
 def test_a_gltf_picture_is_placed_multiplied_and_cut_out(quad, tmp_path):
-    """gltf_colorimage: its colour times colour, its alpha times alpha against the cutoff; coordinates by
-    KHR_texture_transform, whose v runs down: scaled, turned against the clock about the upper left corner, and moved.
-    """
+    """gltf_colorimage: its colour times colour, its alpha times alpha against the cutoff."""
     stage, shader = quad
     pixels = np.concatenate([CODES, np.linspace(0, 255, 16).reshape(4, 4, 1).astype(np.uint8)], axis=2)
     write(tmp_path / "a.png", pixels)
@@ -329,9 +325,7 @@ def mdl(shader, file, kind, **inputs):
     ("OmniSurface", None, 20 / math.pi), ("OmniSurfaceLiteBase", "emission_nt", 20.0), ("OmniSurfaceBase", 1, 20.0),
 ])  # fmt: skip
 def test_omnisurface_is_drawn_by_its_constants(quad, kind, mode, nits):
-    """Weights times colours; light in lux is pi times its nits; switches without which transmission and opacity do not
-    count; a preset of the index and pictures are told.
-    """
+    """Weights times colours; light in lux is pi times its nits."""
     stage, shader = quad
     chosen = {} if mode is None else {"emission_mode": mode}
     mdl(

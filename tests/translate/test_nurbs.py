@@ -161,9 +161,7 @@ def test_a_patch_that_does_not_fit_or_is_trimmed_is_told(empty):
 @pytest.mark.parametrize("authored", [False, True])
 @pytest.mark.parametrize("orientation", ["rightHanded", "leftHanded"])
 def test_tetrahedra_are_drawn_by_their_outside(empty, only_shape, authored, orientation):
-    """A unit cube of five tetrahedra, one of them inside: twelve faces, volume 1 by the divergence theorem; colours of
-    points stay.
-    """
+    """A unit cube of five tetrahedra, one of them inside: twelve faces, volume 1 by the divergence theorem."""
     stage = empty()
     mesh = UsdGeom.TetMesh.Define(stage, "/Tets")
     corners = [(x, 5 + y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]

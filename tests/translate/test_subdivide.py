@@ -69,9 +69,7 @@ def test_boundaries_and_creases_are_cubic_splines(level, where):
 @pytest.mark.parametrize("level", [1, 2, 4])
 @pytest.mark.parametrize("sharpness, corner", [(0.0, 12 / 24), (0.5, 15 / 24), (1.0, 18 / 24), (10.0, 1.0)])
 def test_corners_of_a_cube_by_sharpness(level, sharpness, corner):
-    """Smooth: (9 + 4 - 1) / 24.  Sharpness 1: after one hard step v = 1, sum(e) = 2, sum(f) = 1, so (9 + 8 + 1) / 24; a
-    half lies midway.
-    """
+    """Smooth: (9 + 4 - 1) / 24. Sharpness 1: after one hard step v = 1, sum(e) = 2, sum(f) = 1, so (9 + 8 + 1) / 24."""
     fine = subdivided(BOX, cube(creases=EDGES, crease_sharpness=np.full(12, sharpness)), level)
     np.testing.assert_allclose(fine.points[:8], BOX * corner, rtol=1e-12)
 

@@ -247,9 +247,7 @@ def test_a_grid_lies_below_the_stage(saved, empty, tmp_path, how):
     "near, y, refused", [(0.1, 10.05, True), (0.01, 10.05, False), (0.1, -10.05, False), (0.1, -9.95, True)]
 )
 def test_fog_that_the_near_plane_cuts_is_refused(empty, near, y, refused):
-    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead; not one farther,
-    behind, or around both.
-    """
+    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead."""
     stage = empty()
     UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((near, 1000.0))
     fog_box(stage, "/Bank", (0, y, 0))
@@ -391,9 +389,7 @@ def test_a_box_with_an_empty_material_is_fog_only_where_that_is_meant(empty, pol
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, closed):
-    """A material with an output for volumes and none for surfaces, whatever the mesh is called; one that is not closed
-    is left out with advice.
-    """
+    """A material with an output for volumes and none for surfaces, whatever the mesh is called."""
     stage = empty()
     mesh = polygon_mesh(stage, "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20])
     mesh.AddScaleOp().Set((40.0, 40.0, 20.0))
@@ -470,9 +466,7 @@ def vdb_arrays():
 
 
 def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):
-    """Box and densities from the file, moved with the prim; extinction is that of the fog attributes times the
-    density.
-    """
+    """Box and densities from the file, moved with the prim."""
     stage = vdb_stage(tmp_path / "a", **vdb_arrays())
     (found,) = translate(stage).fog
     np.testing.assert_allclose(found.boundary.to_world, [[2, 0, 0, 1], [0, 1.5, 0, 49.5], [0, 0, 2, 2], [0, 0, 0, 1]])

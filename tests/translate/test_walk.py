@@ -169,9 +169,7 @@ def in_order(points):
 
 
 def test_instances_share_their_prototype_and_have_ids_of_their_own(empty, polygon_mesh):
-    """Three copies of two meshes: one group of two shapes, three instances, each with an id; vertices fall where USD
-    puts them.
-    """
+    """Three copies of two meshes: one group of two shapes, three instances, each with an id."""
     stage = empty()
     stage.CreateClassPrim("/Proto")
     label(stage.GetPrimAtPath("/Proto"), "car")

@@ -10,9 +10,7 @@ from synfog_usd.translate import translate
 
 
 def texel(pixels, u, v, wraps):
-    """The texel of a picture (row 0 at the top) nearest to (u, v), by the words of the specification; None where it is
-    black.
-    """
+    """The texel of a picture (row 0 at the top) nearest to (u, v), by the words of the specification."""
     found = []
     for place, size, wrap in zip((u, v), pixels.shape[1::-1], wraps, strict=True):
         number = int(np.floor(place * size))
@@ -44,9 +42,7 @@ def corner(path, **modes):
 
 @pytest.mark.parametrize("modes, mode", [("periodic,periodic", "repeat"), ("mirror,mirror", "mirror"), ("", "clamp")])
 def test_modes_that_nobody_authored_are_the_files_or_black(empty, polygon_mesh, tmp_path, modes, mode):
-    """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide, and a warning tells that
-    coordinates reach it.
-    """
+    """An EXR's own wrap modes hold; without them the picture has a black rim, two texels wide."""
     corner(tmp_path / "a.exr", **({"wrapmodes": modes} if modes else {}))
     scene = translate(stage_with(empty, polygon_mesh, tmp_path / "a.exr"))
     made = scene.world[scene.world["shape_0"]["bsdf"]["id"]]["bsdf"]["base_color"]

@@ -36,9 +36,7 @@ def test_no_module_of_the_package_imports_the_workshop():
 
 @pytest.mark.parametrize("worlds", [WORLDS[-1:], pytest.param(WORLDS[:-1], marks=pytest.mark.slow)])
 def test_composing_loads_no_builder(tmp_path, worlds):
-    """A process that has composed a roundabout, or a crossing and a road, has loaded no module of the workshop; one
-    that has loaded it would be seen.
-    """
+    """A process that has composed a roundabout, or a crossing and a road, has loaded no module of the workshop."""
     code = (
         "import sys; from pathlib import Path; from synfog_usd.world.compose import compose; "
         f"[compose(Path({str(ROOT / 'stages' / 'recipes')!r}) / f'{{name}}.yaml', Path({str(tmp_path)!r}) / "
@@ -157,9 +155,7 @@ SOME_SKIES = ("broken_noon", "rain", "night_glow")
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("what", ["textures", "lamps", "models"])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
-    """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears; nothing else of their kind
-    lies there. Thumbnails are renders and not meant.
-    """
+    """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears."""
     shipped = shipped_of(what)
     found = made(what, tmp_path)
     assert set(found) == set(shipped)

@@ -366,9 +366,7 @@ def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
 
 
 def test_the_command_reads_no_layer_from_elsewhere(tmp_path):
-    """A car that refers to a file beside its folder is refused, and so is one that would unfold to 2^30 prims; nothing
-    is written.
-    """
+    """A car that refers to a file beside its folder is refused, and so is one that would unfold to 2^30 prims."""
     (tmp_path / "secret.usda").write_text('#usda 1.0\n(defaultPrim = "A")\ndef Mesh "A" {}\n')
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "reach.usda").write_text(

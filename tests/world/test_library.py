@@ -104,9 +104,7 @@ def kinds_in(layer: Sdf.Layer) -> set[str]:
 
 @pytest.mark.parametrize("name", FIRST)
 def test_a_model_is_divided_as_the_working_group_advises(name):
-    """Meshes in payloads, materials in a layer of their own, neither in the interface; unloaded, a model has all its
-    variants and no mesh.
-    """
+    """Meshes in payloads, materials in a layer of their own, neither in the interface."""
     path = library()[name].path
     interface, materials = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".mtl.usda")))
     assert kinds_in(interface).isdisjoint({"Mesh", "Material", "Shader"})

@@ -82,9 +82,7 @@ def test_nobody_stands_in_a_vehicle_a_wall_a_thing_or_another(seed, text):
 
 
 def test_signals_crossers_and_traffic_agree():
-    """Where the main street waits its signals are red and its zebras are walked on; where it goes, the side
-    street's.
-    """
+    """Where the main street waits its signals are red and its zebras are walked on."""
     phases = set()
     for seed in SEEDS:
         world = spec(seed)

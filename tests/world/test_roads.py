@@ -130,9 +130,7 @@ def test_a_clothoid_ends_where_fresnel_says():
 
 
 def test_a_bend_turns_by_its_angle_and_slopes_make_parabolas():
-    """Three bends end in the sum of their angles, and a slope that grows linearly lifts by half of it times the
-    length.
-    """
+    """Three bends end in the sum of their angles."""
     line = ReferenceLine(
         900.0,
         bends([(30.0, 200.0, 40.0), (20.0, 120.0, -70.0), (10.0, 300.0, 12.0)], length=900.0),
@@ -182,9 +180,7 @@ def test_the_meshes_are_where_the_ground_is_said_to_be(crossfall):
 
 
 def test_a_carriageway_falls_from_its_crown_to_its_gutters():
-    """2.5 %: from the line between the directions over all that is paved, and from both sides of an island; beyond a
-    gutter everything lies lower by as much as the gutter does.
-    """
+    """2.5 %: from the line between the directions over all that is paved, and from both sides of an island."""
     street = [("pavement", 2.0, 0), ("parking", 2.0, 0), ("lane", 3.0, -1), ("lane", 3.0, 1), ("cycle", 1.5, 1)]
     road = Road(ReferenceLine(90.0), LaneSection.from_widths([*street, ("verge", 2.0, 0)]), crossfall=0.025)
     t = np.array([-6.0, -5.0 + 1e-9, -3.0, 0.0, 2.0, 4.5, 4.5 + 2.0])
@@ -244,9 +240,7 @@ def test_wheels_touch_the_road_on_slopes(name):
 
 
 def test_a_bus_hides_a_car_and_a_crest_hides_both():
-    """Straight ahead a car is seen whole; with a bus before it, not at all; nor over a crest, nor out of the
-    picture.
-    """
+    """Straight ahead a car is seen whole; with a bus before it, not at all."""
     flat = Road(ReferenceLine(300.0), LaneSection.from_widths([("lane", 3.5, -1), ("lane", 3.5, 1)]))
     view = View(0.0, 0.0, 1.45, 90.0, 0.0)
 

@@ -90,9 +90,7 @@ def test_standard_skies_follow_the_standard(kind):
 
 
 def test_the_overcast_sky_is_three_times_as_bright_overhead():
-    """Type 1 stands for L = Lz (1 + 2 sin h) / 3 (Moon and Spencer 1942): 3 : 1, E = 7 pi / 9 Lz; a uniform sky gives
-    pi Lz.
-    """
+    """Type 1 stands for L = Lz (1 + 2 sin h) / 3 (Moon and Spencer 1942): 3 : 1, E = 7 pi / 9 Lz."""
     horizon = daylight.relative_luminance(1, math.pi / 2, math.pi / 2, math.pi / 4)
     assert 1 / float(horizon) == pytest.approx(3.0, rel=0.01)
     for height in (30.0, 45.0, 60.0, 80.0):
