@@ -21,7 +21,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
 from support import cli, crates
 from support.hostile import png
-from support.looks import painted, picture_of, with_st
+from support.looks import fill, painted, picture_of, with_st
 from support.memory import at_peak
 
 from synfog_usd.base import system
@@ -165,8 +165,7 @@ def test_point_instancers_within_point_instancers_are_counted(tmp_path):
     for level in range(3):
         instancer = UsdGeom.PointInstancer.Define(stage, f"/P{level}")
         instancer.CreatePrototypesRel().AddTarget(target)
-        instancer.CreateProtoIndicesAttr([0] * 300)
-        instancer.CreatePositionsAttr([(0, 0, 0)] * 300)
+        fill(instancer, protoIndices=[0] * 300, positions=[(0, 0, 0)] * 300)
         target = instancer.GetPath()
     with pytest.raises(StageError, match=r"/P2: its instances unfold to 27 000 000 shapes"):
         budget.check_stage(stage)
@@ -298,9 +297,8 @@ def card(tmp_path):
         UsdGeom.SetStageUpAxis(stage, "Z")
         UsdGeom.Camera.Define(stage, "/Camera")
         mesh = UsdGeom.Mesh.Define(stage, "/Card")
-        mesh.CreatePointsAttr([(-1, 5, -1), (1, 5, -1), (1, 5, 1), (-1, 5, 1)])
-        mesh.CreateFaceVertexCountsAttr([4])
-        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+        fill(mesh, points=[(-1, 5, -1), (1, 5, -1), (1, 5, 1), (-1, 5, 1)], faceVertexCounts=[4])
+        fill(mesh, faceVertexIndices=[0, 1, 2, 3])
         color = picture_of(stage, Path(name), fallback=(0.25, 0.5, 0.75, 1))
         painted(with_st(mesh).GetPrim(), diffuseColor=color)
         stage.Save()

@@ -84,17 +84,9 @@ PLACES = (
     ("Formula", "formula/asset/formulaFullAsset.usda", "car", 7.0, 24.0, 90, 0.231, ""),
     ("Flatbed", "truckFlat/asset/truckFlatFullAsset.usda", "truck", 16.0, 35.0, 0, 0.551, ""),
     ("Tractor", "vehicleVariants.usda", "truck", -11.0, 38.0, 60, 0.784, ""),
-    (
-        "Chosen",
-        "vehicleVariants.usda",
-        "car",
-        4.0,
-        45.0,
-        180,
-        0.551,
-        'variants = {\n            string wheels = "sedan"\n        }',
-    ),
-)
+    ("Chosen", "vehicleVariants.usda", "car", 4.0, 45.0, 180, 0.551,
+     'variants = {\n            string wheels = "sedan"\n        }'),
+)  # fmt: skip
 WALKERS = (
     ("Cesium", "CesiumMan/CesiumMan.usdz", -1.2, 7.0, 0.012),
     ("Rigged", "RiggedFigure/RiggedFigure.usdz", 1.2, 8.0, 0.022),

@@ -108,17 +108,14 @@ def test_what_is_a_choice_is_left(written):
     assert kept <= {one.rule for one in found} and kept <= {getattr(one, "rule", "") for one in after}
 
 
-@pytest.mark.parametrize(
-    "lengths, metres, unit",
-    [
-        ({"Car_1": 450, "Person_1": 175}, 1, 0.01),
-        ({"Car_1": 4.5, "Person_1": 1.75}, 0.01, 1.0),
-        ({"Car_1": 177, "Person_1": 69}, 1, 0.0254),
-        ({"Car_1": 4.5, "Person_1": 1.75}, 1, 1),  # as it should be
-        ({"Car_1": 450, "Person_1": 1.75}, 1, 1),  # one of them is wrong, and which cannot be told from the unit
-        ({"Car_1": 200}, 1, 1),  # 2 m of centimetres, or 5 m of inches
-    ],
-)
+@pytest.mark.parametrize("lengths, metres, unit", [
+    ({"Car_1": 450, "Person_1": 175}, 1, 0.01),
+    ({"Car_1": 4.5, "Person_1": 1.75}, 0.01, 1.0),
+    ({"Car_1": 177, "Person_1": 69}, 1, 0.0254),
+    ({"Car_1": 4.5, "Person_1": 1.75}, 1, 1),  # as it should be
+    ({"Car_1": 450, "Person_1": 1.75}, 1, 1),  # one of them is wrong, and which cannot be told from the unit
+    ({"Car_1": 200}, 1, 1),  # 2 m of centimetres, or 5 m of inches
+])  # fmt: skip
 def test_a_unit_is_mended_where_it_alone_fits_all(written, lengths, metres, unit):
     """Of centimetres, inches, feet and the like exactly one gives every road user its size."""
     lines, _, after, stage = mended(written(*(body(*one) for one in lengths.items()), metres=metres))

@@ -2,6 +2,7 @@
 
 import pytest
 from pxr import Usd, UsdGeom, UsdLux
+from support.looks import fill
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.stage import keep_near, open_stage, select
@@ -31,8 +32,7 @@ def town(tmp_path):
     many = UsdGeom.PointInstancer.Define(stage, "/Many")
     UsdGeom.Sphere.Define(stage, "/Many/Ball")
     many.CreatePrototypesRel().SetTargets(["/Many/Ball"])
-    many.CreateProtoIndicesAttr([0] * 10)
-    many.CreatePositionsAttr([(500.0, 1000.0 * (number + 1), 0.0) for number in range(10)])
+    fill(many, protoIndices=[0] * 10, positions=[(500.0, 1000.0 * (number + 1), 0.0) for number in range(10)])
     stage.Save()
     del stage, house
     return open_stage(tmp_path / "town.usda")

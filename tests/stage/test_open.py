@@ -140,20 +140,14 @@ def test_what_cannot_be_opened_says_why_in_one_line(tmp_path, name, text, messag
 WITHOUT = '#usda 1.0\n(\n    subLayers = [@./light.usda@]\n)\ndef Camera "Ego" { }\ndef Cube "Wall" { }\n'
 
 
-@pytest.mark.parametrize(
-    "text, path, told",
-    [
-        (
-            'def "A" (references = @./props/gone.usda@</A>) { }',
-            "/A",
-            "its reference ./props/gone.usda is missing; drawn without it",
-        ),
-        ('def "A" (payload = @./gone.usdc@) { }', "/A", "its payload ./gone.usdc is missing; drawn without it"),
-        ("", "/", "its sublayer ./light.usda is missing; drawn without it"),
-        ('def "A" (references = </A>) { }', "/A", "Cycle detected"),
-        ('def "A" (references = </B>) { }', "/A", "Unresolved"),
-    ],
-)
+@pytest.mark.parametrize("text, path, told", [
+    ('def "A" (references = @./props/gone.usda@</A>) { }', "/A",
+     "its reference ./props/gone.usda is missing; drawn without it"),
+    ('def "A" (payload = @./gone.usdc@) { }', "/A", "its payload ./gone.usdc is missing; drawn without it"),
+    ("", "/", "its sublayer ./light.usda is missing; drawn without it"),
+    ('def "A" (references = </A>) { }', "/A", "Cycle detected"),
+    ('def "A" (references = </B>) { }', "/A", "Unresolved"),
+])  # fmt: skip
 def test_a_stage_is_drawn_without_what_is_missing(tmp_path, text, path, told):
     """The rest is drawn, each missing file is told with the prim that wanted it, and `whole` refuses."""
     if text:

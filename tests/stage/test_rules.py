@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
+from support.looks import fill
 
 from synfog_usd.stage import check, open_stage, reference
 from synfog_usd.stage.rules import SIZES_M
@@ -25,8 +26,7 @@ def sound():
         UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
         UsdGeom.Camera.Define(stage, "/World/Ego")
         UsdLux.DomeLight.Define(stage, "/World/Sky").CreateIntensityAttr(3000.0)
-        fog = UsdGeom.Cube.Define(stage, "/World/Fog")
-        fog.CreatePurposeAttr("guide")
+        fog = fill(UsdGeom.Cube.Define(stage, "/World/Fog"), purpose="guide")
         fog.GetSizeAttr().Set(200.0 * k)
         fog.GetPrim().AddAppliedSchema("SynFogMediumAPI")
         car = UsdGeom.Cube.Define(stage, "/World/Car")
@@ -119,8 +119,7 @@ def test_what_is_missing_is_found(sound):
     for name in ("Ego", "Sky", "Fog"):
         stage.GetPrimAtPath(f"/World/{name}").SetActive(False)
     assert found(stage) == {("no-camera", ""), ("no-light", ""), ("no-fog", "")}
-    shader = UsdShade.Shader.Define(stage, "/World/Glow")
-    shader.CreateIdAttr("UsdPreviewSurface")
+    shader = fill(UsdShade.Shader.Define(stage, "/World/Glow"), id="UsdPreviewSurface")
     shader.CreateInput("emissiveColor", TYPES.Color3f).Set((0, 5, 0))
     assert found(stage) == {("no-camera", ""), ("no-fog", "")}
 
@@ -172,9 +171,7 @@ def test_lamps_that_no_lamp_is_are_found(sound, kind, values, bright, metres_per
 def test_a_scaled_lamp_has_the_square_of_its_scale_in_light(sound, scale, bright):
     """pi L x 4 pi r^2 = 2e7 lm, times four and nine."""
     stage = sound()
-    lamp = UsdLux.SphereLight.Define(stage, "/World/Lamp")
-    lamp.CreateRadiusAttr(1.0)
-    lamp.CreateIntensityAttr(2e7 / (4 * math.pi**2))
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/World/Lamp"), radius=1.0, intensity=2e7 / (4 * math.pi**2))
     lamp.AddScaleOp().Set((scale,) * 3)
     assert found(stage) == ({("light-bright", "/World/Lamp")} if bright else set())
 

@@ -32,6 +32,13 @@ def linear(codes):
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
+def fill(schema, **values):
+    """Author attributes of a schema: fill(light, radius=0.5) is light.CreateRadiusAttr(0.5); gives the schema."""
+    for name, value in values.items():
+        getattr(schema, f"Create{name[0].upper()}{name[1:]}Attr")(value)
+    return schema
+
+
 def put(shader, name, value):
     """An input of a shader: a number, a word, a path, a tuple of 2 to 4 numbers, or the output of another shader."""
     if isinstance(value, UsdShade.Output):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
-from support.looks import SQUARE, TYPES, put, shade
+from support.looks import SQUARE, TYPES, fill, put, shade
 
 from synfog_usd.translate import translate
 
@@ -335,8 +335,7 @@ def instancer(stage, square, values, name="displayColor", interpolation="vertex"
     proto = square(stage, "/Points/Proto")
     count = len(values) if count is None else count
     made.CreatePrototypesRel().AddTarget("/Points/Proto")
-    made.CreateProtoIndicesAttr([0] * count)
-    made.CreatePositionsAttr([(3.0 * n, 0, 0) for n in range(count)])
+    fill(made, protoIndices=[0] * count, positions=[(3.0 * n, 0, 0) for n in range(count)])
     primvar = UsdGeom.PrimvarsAPI(made).CreatePrimvar(name, kind, interpolation)
     primvar.Set(values)
     if name != "displayColor":
@@ -374,8 +373,7 @@ def test_instancers_within_instancers(empty, square, inner, name="tint"):
     proto = square(stage, "/Outer/Inner/Proto")
     for one, target, far in ((outer, "/Outer/Inner", 10.0), (made, "/Outer/Inner/Proto", 2.0)):
         one.CreatePrototypesRel().AddTarget(target)
-        one.CreateProtoIndicesAttr([0, 0])
-        one.CreatePositionsAttr([(0, 0, 0), (far, 0, 0)])
+        fill(one, protoIndices=[0, 0], positions=[(0, 0, 0), (far, 0, 0)])
     UsdGeom.PrimvarsAPI(outer).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set([RED, GREEN])
     if inner:
         UsdGeom.PrimvarsAPI(made).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set(inner)
@@ -430,8 +428,7 @@ def test_unknown_materials_leave_a_shape_its_own_colours(empty, square, only_sha
     context, shader, interpolation = "ri", "PxrSurface", "constant" if len(colors) == 1 else "vertex"
     stage = empty()
     material = UsdShade.Material.Define(stage, "/M")
-    surface = UsdShade.Shader.Define(stage, "/M/S")
-    surface.CreateIdAttr(shader)
+    surface = fill(UsdShade.Shader.Define(stage, "/M/S"), id=shader)
     material.CreateSurfaceOutput(context).ConnectToSource(surface.CreateOutput("out", TYPES.Token))
     prim = square(stage, "/Mesh")
     UsdGeom.Mesh(prim).CreateDisplayColorPrimvar(interpolation).Set(colors)

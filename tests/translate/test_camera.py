@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
+from support.looks import fill
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.stage.open import override
@@ -12,10 +13,7 @@ from synfog_usd.translate import translate
 
 
 def camera(stage):
-    found = UsdGeom.Camera.Get(stage, "/Camera")
-    found.CreateFocalLengthAttr(35.0)
-    found.CreateHorizontalApertureAttr(36.0)
-    found.CreateVerticalApertureAttr(24.0)
+    found = fill(UsdGeom.Camera.Get(stage, "/Camera"), focalLength=35.0, horizontalAperture=36.0, verticalAperture=24.0)
     return found
 
 
@@ -39,8 +37,7 @@ def test_other_ways_to_conform(empty, policy, width_mm):
     stage = empty()
     camera(stage)
     settings = UsdRender.Settings.Define(stage, "/Render")
-    settings.CreateAspectRatioConformPolicyAttr(policy)
-    settings.CreateResolutionAttr(Gf.Vec2i(1200, 600))
+    fill(settings, aspectRatioConformPolicy=policy, resolution=Gf.Vec2i(1200, 600))
     stage.SetMetadata("renderSettingsPrimPath", "/Render")
     np.testing.assert_allclose(
         translate(stage).camera.fov_x_deg, 2 * math.degrees(math.atan(width_mm / 2 / 35.0)), rtol=1e-6
@@ -51,8 +48,7 @@ def test_the_projection_is_usds_own(empty):
     """A point's place in the picture, by fov and shift, is where Gf.Frustum of the same camera puts it."""
     stage = empty()
     authored = camera(stage)
-    authored.CreateHorizontalApertureOffsetAttr(4.0)
-    authored.CreateVerticalApertureOffsetAttr(-3.0)
+    fill(authored, horizontalApertureOffset=4.0, verticalApertureOffset=-3.0)
     found = translate(stage, resolution=(900, 600)).camera
     matrix = authored.GetCamera(0).frustum.ComputeProjectionMatrix()
     tangent = math.tan(math.radians(found.fov_x_deg / 2))
@@ -67,9 +63,7 @@ def test_lens_numbers_are_in_metres(empty):
     """Focal length and aperture are tenths of a stage unit, focus distance is whole units."""
     stage = empty(metres_per_unit=0.01)
     authored = camera(stage)
-    authored.CreateFStopAttr(2.8)
-    authored.CreateFocusDistanceAttr(1200.0)
-    authored.CreateClippingRangeAttr(Gf.Vec2f(10.0, 1e6))
+    fill(authored, fStop=2.8, focusDistance=1200.0, clippingRange=Gf.Vec2f(10.0, 1e6))
     found = translate(stage).camera
     np.testing.assert_allclose(
         [found.focal_length_m, found.f_number, found.focus_m, found.near_m], [0.035, 2.8, 12.0, 0.1], rtol=1e-6
@@ -81,8 +75,7 @@ def test_an_absurd_focal_length_is_a_pinhole(empty):
     """35 'mm' in a stage of metres is a lens of 3.5 m: harmless for the view, absurd for depth of field."""
     stage = empty()
     authored = camera(stage)
-    authored.CreateFStopAttr(2.8)
-    authored.CreateFocusDistanceAttr(12.0)
+    fill(authored, fStop=2.8, focusDistance=12.0)
     scene = translate(stage)
     assert scene.camera.f_number == 0.0
     assert any(note.path == "/Camera" and "3.50 m" in note.text for note in scene.notes)
@@ -152,17 +145,14 @@ def test_render_settings_without_blur_have_none(empty):
     """
     stage = empty(metres_per_unit=0.01)
     authored = camera(stage)
-    authored.CreateFStopAttr(2.8)
-    authored.CreateFocusDistanceAttr(1200.0)
-    authored.CreateShutterCloseAttr(0.5)
+    fill(authored, fStop=2.8, focusDistance=1200.0, shutterClose=0.5)
     cube = UsdGeom.Cube.Define(stage, "/Cube").AddTranslateOp()
     for frame in (0, 2):
         cube.Set((float(frame), 500.0, 0.0), frame)
     settings = rendered(stage)
     scene = translate(stage, frame=1)
     assert scene.camera.f_number == pytest.approx(2.8) and scene.motion_of
-    settings.CreateDisableDepthOfFieldAttr(True)
-    settings.CreateDisableMotionBlurAttr(True)
+    fill(settings, disableDepthOfField=True, disableMotionBlur=True)
     scene = translate(stage, frame=1)
     assert scene.camera.f_number == 0.0 and not scene.motion_of
     override(stage, shutter_s=0.02)
@@ -204,12 +194,8 @@ def test_an_orthographic_camera_sees_its_aperture(empty, metres_per_unit):
     """
     stage = empty(metres_per_unit=metres_per_unit)
     authored = UsdGeom.Camera.Get(stage, "/Camera")
-    authored.CreateProjectionAttr("orthographic")
-    authored.CreateHorizontalApertureAttr(400.0)
-    authored.CreateVerticalApertureAttr(200.0)
-    authored.CreateHorizontalApertureOffsetAttr(30.0)
-    authored.CreateVerticalApertureOffsetAttr(-20.0)
-    authored.CreateFStopAttr(2.8)
+    fill(authored, projection="orthographic", horizontalAperture=400.0, verticalAperture=200.0)
+    fill(authored, horizontalApertureOffset=30.0, verticalApertureOffset=-20.0, fStop=2.8)
     found = translate(stage, resolution=(800, 400)).camera
     window = authored.GetCamera(0).frustum.GetWindow()
     size, middle = window.GetSize() * metres_per_unit, (window.GetMin() + window.GetMax()) * 0.5 * metres_per_unit
@@ -227,8 +213,7 @@ def test_a_camera_that_drives_is_where_it_is_half_way_through_its_exposure(empty
     for frame in (0, 24):
         move.Set((0.0, frame / 2.4, 1.5), frame)
         turn.Set((90.0, 0.0, float(frame)), frame)
-    authored.CreateShutterOpenAttr(0.0)
-    authored.CreateShutterCloseAttr(0.5)
+    fill(authored, shutterOpen=0.0, shutterClose=0.5)
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(24)
     scene = translate(stage, frame=6)
@@ -245,9 +230,7 @@ def test_what_else_moves_while_the_shutter_is_open_moves_in_the_scene(empty):
     behind it.
     """
     stage = empty()
-    authored = UsdGeom.Camera.Get(stage, "/Camera")
-    authored.CreateShutterOpenAttr(-0.25)
-    authored.CreateShutterCloseAttr(0.25)
+    authored = fill(UsdGeom.Camera.Get(stage, "/Camera"), shutterOpen=-0.25, shutterClose=0.25)
     stage.SetStartTimeCode(0)
     move = UsdGeom.Cube.Define(stage, "/Cube").AddTranslateOp()
     for frame in (0, 2):
@@ -410,8 +393,7 @@ def test_a_rolling_shutter_is_open_until_the_last_row_ends(empty):
 def test_the_mode_of_the_shutter_is_read_and_one_that_is_none_is_told(empty):
     """Rows end 3/4 of the time apart instead of beginning so; the window is that of a shutter that rolls."""
     stage = empty()
-    authored = UsdGeom.Camera.Get(stage, "/Camera")
-    authored.CreateShutterCloseAttr(0.25)
+    authored = fill(UsdGeom.Camera.Get(stage, "/Camera"), shutterClose=0.25)
     authored.GetPrim().CreateAttribute("synfog:shutter:readout", Sdf.ValueTypeNames.Float).Set(1 / 32)
     stage.SetTimeCodesPerSecond(24)
     assert not translate(stage, frame=6).camera.global_reset

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, UsdGeom
 from scipy.interpolate import BSpline, CubicHermiteSpline
-from support.looks import painted, shade
+from support.looks import fill, painted, shade
 
 from synfog_usd.translate import translate
 
@@ -25,9 +25,7 @@ def rings(shape, sides):
 
 def define(stage, points, counts, **more):
     curves = UsdGeom.BasisCurves.Define(stage, "/Curves")
-    curves.CreatePointsAttr(points)
-    curves.CreateCurveVertexCountsAttr(counts)
-    curves.CreateWidthsAttr(more.pop("widths", [0.2]))
+    fill(curves, points=points, curveVertexCounts=counts, widths=more.pop("widths", [0.2]))
     curves.SetWidthsInterpolation(more.pop("interpolation", "constant"))
     for name, value in more.items():
         curves.GetPrim().GetAttribute(name).Set(value)
@@ -122,8 +120,7 @@ def test_points_are_balls_of_their_width(empty, only_shape):
     """A ball of 80 faces keeps the sphere's surface pi d^2; a point without width is not drawn."""
     stage = empty()
     cloud = UsdGeom.Points.Define(stage, "/Points")
-    cloud.CreatePointsAttr([(0, 5, 0), (2, 5, 0), (4, 5, 0)])
-    cloud.CreateWidthsAttr([0.2, 0.0, 0.6])
+    fill(cloud, points=[(0, 5, 0), (2, 5, 0), (4, 5, 0)], widths=[0.2, 0.0, 0.6])
     cloud.SetWidthsInterpolation("vertex")
     UsdGeom.PrimvarsAPI(cloud).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "vertex").Set(
         [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
@@ -153,10 +150,7 @@ def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape)
     tangents = np.array([(1, 0, 3), (2, 0, 0), (1, 1, -3)], dtype=float)
     points = np.array([(0, 5, 0), (1, 5, 1), (3, 5, 0)], dtype=float)
     curves = UsdGeom.HermiteCurves.Define(stage, "/Curves")
-    curves.CreatePointsAttr(points.tolist())
-    curves.CreateTangentsAttr(tangents.tolist())
-    curves.CreateCurveVertexCountsAttr([3])
-    curves.CreateWidthsAttr([0.02, 0.04, 0.02])
+    fill(curves, points=points.tolist(), tangents=tangents.tolist(), curveVertexCounts=[3], widths=[0.02, 0.04, 0.02])
     curves.SetWidthsInterpolation("vertex")
     middle, radius = rings(only_shape(translate(stage)), 8)
     t = np.linspace(0, 2, 13)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdLux
-from support.looks import write
+from support.looks import fill, write
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import outdoors, translate, why_black
@@ -13,16 +13,13 @@ from synfog_usd.translate import outdoors, translate, why_black
 
 def sun(stage, lux, *, name="Sun", tilt=0.0):
     """A distant light of `lux` across its rays, `tilt` degrees from straight down."""
-    light = UsdLux.DistantLight.Define(stage, f"/{name}")
-    light.CreateIntensityAttr(lux)
-    light.CreateNormalizeAttr(True)
+    light = fill(UsdLux.DistantLight.Define(stage, f"/{name}"), intensity=lux, normalize=True)
     light.AddRotateXOp().Set(tilt)
     return light
 
 
 def sky(stage, nits, *, name="Sky"):
-    light = UsdLux.DomeLight.Define(stage, f"/{name}")
-    light.CreateIntensityAttr(nits)
+    light = fill(UsdLux.DomeLight.Define(stage, f"/{name}"), intensity=nits)
     return light
 
 
@@ -126,10 +123,8 @@ def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
     stage = empty()
     sun(stage, 4.0)
     sky(stage, 2.0)
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateIntensityAttr(8.0)
-    point = UsdLux.SphereLight.Define(stage, "/Point")
-    point.CreateTreatAsPointAttr(True)
+    fill(UsdLux.SphereLight.Define(stage, "/Lamp"), intensity=8.0)
+    fill(UsdLux.SphereLight.Define(stage, "/Point"), treatAsPoint=True)
     quad = polygon_mesh(stage, "/Glow", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
     UsdLux.MeshLightAPI.Apply(quad.GetPrim())
 
@@ -164,8 +159,7 @@ def test_lux_are_not_asked_of_a_sun_that_is_not_there(empty):
 
 
 def cube(stage, path, place, size):
-    shape = UsdGeom.Cube.Define(stage, path)
-    shape.CreateSizeAttr(size)
+    shape = fill(UsdGeom.Cube.Define(stage, path), size=size)
     shape.AddTranslateOp().Set(Gf.Vec3d(*place))
     return shape
 
@@ -185,8 +179,7 @@ def test_a_camera_inside_of_a_solid_is_why_a_picture_is_black(empty, polygon_mes
     sky(stage, 1000.0)
     path = "/Block"
     if kind == "Sphere":
-        shape = UsdGeom.Sphere.Define(stage, path)
-        shape.CreateRadiusAttr(3.0)
+        shape = fill(UsdGeom.Sphere.Define(stage, path), radius=3.0)
         shape.AddTranslateOp().Set((0.2, 0, 0))
     elif kind == "Mesh":
         corners = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (-2, 2)]
@@ -205,8 +198,7 @@ def test_a_camera_inside_of_a_solid_is_why_a_picture_is_black(empty, polygon_mes
         shape = UsdGeom.Xform(stage.GetPrimAtPath("/Block"))
     why = why_black(translate(stage))
     assert f"inside of {path}" in why and "move the camera" in why
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateRadiusAttr(0.1)
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.1)
     lamp.AddTranslateOp().Set((0, 1, 0))
     assert why_black(translate(stage)) is None
     lamp.GetPrim().SetActive(False)

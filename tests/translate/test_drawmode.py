@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from support.looks import write
+from support.looks import fill, write
 
 from synfog_usd.translate import translate
 
@@ -109,8 +109,7 @@ def test_instances_are_replaced_too(house):
     copy.SetInstanceable(True)
     many = UsdGeom.PointInstancer.Define(stage, "/Town/Many")
     many.CreatePrototypesRel().SetTargets(["/Town/House"])
-    many.CreateProtoIndicesAttr([0, 0])
-    many.CreatePositionsAttr([(0, 0, 0), (5, 0, 0)])
+    fill(many, protoIndices=[0, 0], positions=[(0, 0, 0), (5, 0, 0)])
     Usd.ModelAPI(many.GetPrim()).SetKind("group")
     scene, shapes = draw("/Town", modelDrawMode="bounds")
     assert [len(shape["faces"]) for shape in shapes] == [144, 144]

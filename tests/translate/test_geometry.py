@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
-from support.looks import painted, picture_of, write
+from support.looks import fill, painted, picture_of, write
 
 from synfog_usd.stage import open_stage
 from synfog_usd.translate import subdivide, summary, translate
@@ -364,9 +364,7 @@ def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
         for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0)))
     }
     for name, faces, family in (("Red", [0], "materialBind"), ("Blue", [1, 2], ""), ("Other", [3], "")):
-        subset = UsdGeom.Subset.Define(stage, f"/Strip/{name}Part")
-        subset.CreateElementTypeAttr("face")
-        subset.CreateIndicesAttr(faces)
+        subset = fill(UsdGeom.Subset.Define(stage, f"/Strip/{name}Part"), elementType="face", indices=faces)
         if family:
             subset.CreateFamilyNameAttr(family)
         if name in materials:

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom
+from support.looks import fill
 
 from synfog_usd.translate import translate
 
 
 def lane(stage, path, points, counts=(2, 2), kind="linear"):
     curves = UsdGeom.BasisCurves.Define(stage, path)
-    curves.CreateTypeAttr(kind)
-    curves.CreateCurveVertexCountsAttr(list(counts))
-    curves.CreatePointsAttr(points)
-    curves.CreatePurposeAttr("guide")
+    fill(curves, type=kind, curveVertexCounts=list(counts), points=points, purpose="guide")
     curves.GetPrim().CreateAttribute("synfog:lane:type", Sdf.ValueTypeNames.Token).Set("driving")
     return curves
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdLux, Vt
-from support.looks import write
+from support.looks import fill, write
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import translate
@@ -38,9 +38,7 @@ def test_normalize_divides_by_the_area_in_stage_units(empty, kind, size, units2,
     stage = empty(metres_per_unit=metres_per_unit)
     prim = stage.DefinePrim("/Lamp", kind)
     light = UsdLux.LightAPI(prim)
-    light.CreateIntensityAttr(30.0)
-    light.CreateExposureAttr(2.0)
-    light.CreateColorAttr((1.0, 0.5, 0.25))
+    fill(light, intensity=30.0, exposure=2.0, color=(1.0, 0.5, 0.25))
     for name, value in size.items():
         prim.GetAttribute(f"inputs:{name}").Set(value)
     UsdGeom.Xformable(prim).AddScaleOp().Set((2.0, 2.0, 2.0))
@@ -54,9 +52,7 @@ def test_normalize_divides_by_the_area_in_stage_units(empty, kind, size, units2,
 def test_a_stretched_sphere_has_the_area_of_an_ellipsoid(empty):
     """Prolate spheroid, closed form with a = 1, c = 3: 2 pi a^2 (1 + c / (a e) asin e)."""
     stage = empty()
-    light = UsdLux.SphereLight.Define(stage, "/Lamp")
-    light.CreateRadiusAttr(1.0)
-    light.CreateNormalizeAttr(True)
+    light = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=1.0, normalize=True)
     light.AddScaleOp().Set((1.0, 1.0, 3.0))
     emitter, _ = lamp_of(translate(stage))
     e = math.sqrt(1 - 1 / 9)
@@ -69,10 +65,7 @@ def test_a_stretched_sphere_has_the_area_of_an_ellipsoid(empty):
 def test_distant_light_gives_irradiance(empty, normalize):
     """E = L pi sin^2(angle / 2), or the intensity itself where normalized."""
     stage = empty()
-    light = UsdLux.DistantLight.Define(stage, "/Sun")
-    light.CreateIntensityAttr(90_000.0)
-    light.CreateAngleAttr(0.53)
-    light.CreateNormalizeAttr(normalize)
+    fill(UsdLux.DistantLight.Define(stage, "/Sun"), intensity=90_000.0, angle=0.53, normalize=normalize)
     emitter, _ = lamp_of(translate(stage))
     wanted = 90_000.0 * (1.0 if normalize else math.pi * math.sin(math.radians(0.53) / 2) ** 2)
     np.testing.assert_allclose(strength(emitter, "irradiance"), wanted, rtol=1e-6)
@@ -85,10 +78,7 @@ def test_distant_light_gives_irradiance(empty, normalize):
 def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit):
     """I = L pi r^2 in candela; normalized: intensity / 4 of a square unit."""
     stage = empty(metres_per_unit=metres_per_unit)
-    light = UsdLux.SphereLight.Define(stage, "/Lamp")
-    light.CreateRadiusAttr(0.5)
-    light.CreateIntensityAttr(80.0)
-    light.CreateTreatAsPointAttr(True)
+    light = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.5, intensity=80.0, treatAsPoint=True)
     emitter, shape = lamp_of(translate(stage))
     assert shape is None and emitter["type"] == "point"
     np.testing.assert_allclose(strength(emitter, "intensity"), 80.0 * math.pi * (0.5 * metres_per_unit) ** 2, rtol=1e-6)
@@ -101,16 +91,12 @@ def test_a_point_light_keeps_the_intensity_of_its_sphere(empty, metres_per_unit)
 def test_a_headlight_shines_along_its_minus_z(empty):
     """Candela on the axis: normalized intensity / (4 pi r^2) times pi r^2."""
     stage = empty()
-    light = UsdLux.SphereLight.Define(stage, "/Lamp")
-    light.CreateRadiusAttr(0.05)
-    light.CreateIntensityAttr(20_000.0)
-    light.CreateNormalizeAttr(True)
+    light = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.05, intensity=20_000.0, normalize=True)
     light.AddTranslateOp().Set((0.7, 2, 0.7))
     light.AddRotateXOp().Set(90.0)
     light.AddScaleOp().Set((1, 1, 1))
     shaping = UsdLux.ShapingAPI.Apply(light.GetPrim())
-    shaping.CreateShapingConeAngleAttr(25.0)
-    shaping.CreateShapingConeSoftnessAttr(0.3)
+    fill(shaping, shapingConeAngle=25.0, shapingConeSoftness=0.3)
     emitter, shape = lamp_of(translate(stage))
     assert shape is None and emitter["type"] == "photometric"
     np.testing.assert_allclose(strength(emitter, "intensity"), 5_000.0, rtol=1e-6)
@@ -141,9 +127,7 @@ def test_flat_lights_shine_along_minus_z(empty, kind, mirror):
 
 def test_colour_temperature_tints_without_changing_luminance(empty):
     stage = empty()
-    light = UsdLux.SphereLight.Define(stage, "/Lamp")
-    light.CreateEnableColorTemperatureAttr(True)
-    light.CreateColorTemperatureAttr(4300.0)
+    fill(UsdLux.SphereLight.Define(stage, "/Lamp"), enableColorTemperature=True, colorTemperature=4300.0)
     emitter, _ = lamp_of(translate(stage))
     np.testing.assert_allclose(strength(emitter), TINT_4300, rtol=1e-3)
     np.testing.assert_allclose(strength(emitter) @ [0.2126, 0.7152, 0.0722], 1.0, rtol=1e-3)
@@ -172,9 +156,7 @@ def test_the_top_of_a_dome_map_is_its_pole(empty, tmp_path, up, kind, pole, want
     pixels = np.random.default_rng(1).uniform(0, 1, (4, 8, 3)).astype(np.float32)
     write(tmp_path / "sky.exr", pixels)
     light = getattr(UsdLux, kind).Define(stage, "/Sky")
-    light.CreateTextureFileAttr(str(tmp_path / "sky.exr"))
-    light.CreateIntensityAttr(3.0)
-    light.CreateColorAttr((1.0, 0.5, 2.0))
+    fill(light, textureFile=str(tmp_path / "sky.exr"), intensity=3.0, color=(1.0, 0.5, 2.0))
     if pole:
         light.CreatePoleAxisAttr(pole)
     sky = translate(stage).world["light_sky"]
@@ -195,8 +177,7 @@ def test_flux_goes_with_intensity_and_the_sky_has_no_end(empty):
     """Spheres of 1 : 9 in intensity are 1 : 9 in flux; what shines from all around has none that could be told."""
     stage = empty()
     for number, intensity in enumerate((10.0, 90.0)):
-        light = UsdLux.SphereLight.Define(stage, f"/Lamp{number}")
-        light.CreateIntensityAttr(intensity)
+        fill(UsdLux.SphereLight.Define(stage, f"/Lamp{number}"), intensity=intensity)
     UsdLux.DomeLight.Define(stage, "/Sky")
     scene = translate(stage)
     flux = [scene.flux_of[key] for key in scene.world if key.startswith("shape_")]
@@ -254,8 +235,7 @@ def test_lights_in_prototypes_shine_once_per_instance(empty, kind):
     UsdGeom.Cube.Define(stage, f"{root}/Pole")
     if instancer:
         instancer.CreatePrototypesRel().AddTarget(root)
-        instancer.CreateProtoIndicesAttr([0, 0, 0])
-        instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*p) for p in places]))
+        fill(instancer, protoIndices=[0, 0, 0], positions=Vt.Vec3fArray([Gf.Vec3f(*p) for p in places]))
     else:
         for number, place in enumerate(places):
             prim = stage.DefinePrim(f"/Copy{number}", "Xform")
@@ -279,18 +259,13 @@ def test_blenders_watts_and_suns_are_read_as_it_means_them(empty, metres_per_uni
     stage = empty(metres_per_unit=metres_per_unit)
     stage.GetRootLayer().documentation = "Blender v5.0.1"
     light = UsdLux.SphereLight.Define(stage, "/Lamp")
-    light.CreateIntensityAttr(100.0 / math.pi)
-    light.CreateRadiusAttr(0.25 / metres_per_unit)
-    light.CreateNormalizeAttr(True)
-    light.CreateEnableColorTemperatureAttr(True)
-    light.CreateColorTemperatureAttr(6500.0)
+    fill(light, intensity=100.0 / math.pi, radius=0.25 / metres_per_unit, normalize=True, enableColorTemperature=True)
+    fill(light, colorTemperature=6500.0)
     scene = translate(stage)
     np.testing.assert_allclose(strength(lamp_of(scene)[0]), 100.0 / (math.pi * 4 * math.pi * 0.25**2), rtol=1e-5)
     assert any("'blender'" in note.text for note in scene.notes)
     stage.RemovePrim("/Lamp")
-    sun = UsdLux.DistantLight.Define(stage, "/Sun")
-    sun.CreateIntensityAttr(3.0 / 4.0)
-    sun.CreateNormalizeAttr(True)
+    fill(UsdLux.DistantLight.Define(stage, "/Sun"), intensity=3.0 / 4.0, normalize=True)
     np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "irradiance"), 3.0, rtol=1e-6)
     np.testing.assert_allclose(strength(lamp_of(translate(stage, lights="usd"))[0], "irradiance"), 0.75, rtol=1e-6)
 
@@ -299,16 +274,12 @@ def test_a_blender_asset_keeps_its_convention_on_another_stage(empty, tmp_path):
     """The layer in which an intensity stands decides, light by light."""
     asset = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
     asset.GetRootLayer().documentation = "Blender v4.5.3 LTS"
-    sun = UsdLux.DistantLight.Define(asset, "/Sun")
-    sun.CreateIntensityAttr(0.5)
-    sun.CreateNormalizeAttr(True)
+    sun = fill(UsdLux.DistantLight.Define(asset, "/Sun"), intensity=0.5, normalize=True)
     asset.SetDefaultPrim(sun.GetPrim())
     asset.Save()
     stage = empty()
     stage.DefinePrim("/Theirs").GetReferences().AddReference(str(tmp_path / "asset.usda"))
-    ours = UsdLux.DistantLight.Define(stage, "/Ours")
-    ours.CreateIntensityAttr(0.5)
-    ours.CreateNormalizeAttr(True)
+    fill(UsdLux.DistantLight.Define(stage, "/Ours"), intensity=0.5, normalize=True)
     world = translate(stage).world
     assert sorted(strength(part, "irradiance")[0] for key, part in world.items() if key.startswith("light_")) == [
         0.5,
@@ -316,26 +287,19 @@ def test_a_blender_asset_keeps_its_convention_on_another_stage(empty, tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    "data, lux",
-    [
-        ({}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
-        ({"renderSettings": {"rtx:fog:enabled": True}}, 3000),
-        (
-            {"renderSettings": {"rtx:fog:enabled": True, "omni:rtx:usdluxVersion": 2505}},
-            3000 * math.pi * math.sin(math.radians(0.5)) ** 2,
-        ),
-    ],
-)
+@pytest.mark.parametrize("data, lux", [
+    ({}, 3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
+    ({"renderSettings": {"rtx:fog:enabled": True}}, 3000),
+    ({"renderSettings": {"rtx:fog:enabled": True, "omni:rtx:usdluxVersion": 2505}},
+     3000 * math.pi * math.sin(math.radians(0.5)) ** 2),
+])  # fmt: skip
 def test_omniverse_suns_are_irradiance_before_2505(empty, data, lux):
     """A light of 3000, angle 1 and no 'normalize': 0.718 lx by the specification, 3000 lx in Omniverse until it
     followed it.
     """
     stage = empty()
     stage.GetRootLayer().customLayerData = data
-    sun = UsdLux.DistantLight.Define(stage, "/Sun")
-    sun.CreateIntensityAttr(3000.0)
-    sun.CreateAngleAttr(1.0)
+    fill(UsdLux.DistantLight.Define(stage, "/Sun"), intensity=3000.0, angle=1.0)
     np.testing.assert_allclose(strength(lamp_of(translate(stage))[0], "irradiance"), lux, rtol=1e-6)
 
 
@@ -345,9 +309,7 @@ def test_metric_divides_by_square_metres(empty):
     for metres_per_unit in (1.0, 0.01):
         stage = empty(metres_per_unit=metres_per_unit)
         light = UsdLux.DiskLight.Define(stage, "/Lamp")
-        light.CreateRadiusAttr(0.5 / metres_per_unit)
-        light.CreateIntensityAttr(10.0)
-        light.CreateNormalizeAttr(True)
+        fill(light, radius=0.5 / metres_per_unit, intensity=10.0, normalize=True)
         found.append([strength(lamp_of(translate(stage, lights=name))[0])[0] for name in ("metric", "usd")])
     np.testing.assert_allclose(found, 10 / (math.pi * 0.25) * np.array([[1, 1], [1, 1e-4]]), rtol=1e-6)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from pxr import UsdGeom, UsdLux
-from support.looks import write
+from support.looks import fill, write
 
 from synfog_usd.render import backend
 from synfog_usd.render.load import to_mitsuba
@@ -107,8 +107,7 @@ def test_a_luminaire_sends_what_its_file_says(empty, tmp_path):
     )
     (tmp_path / "lamp.ies").write_text(f"IESNA:LM-63-2002\nTILT=NONE\n{numbers}")
     stage = empty()
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateRadiusAttr(0.05)
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.05)
     lamp.CreateIntensityAttr(4.0)  # normalized: a quarter of it, in candela
     lamp.CreateNormalizeAttr(True)
     lamp.AddTranslateOp().Set((0, 5, 6))
@@ -177,8 +176,7 @@ def test_each_shape_of_light_is_shaped_as_specified(empty, tmp_path, kind, shape
     if shape == "cone":
         shaping.CreateShapingConeSoftnessAttr(0.5)
     elif shape == "focus":
-        shaping.CreateShapingFocusAttr(3.0)
-        shaping.CreateShapingFocusTintAttr((0.5, 0.0, 0.2))
+        fill(shaping, shapingFocus=3.0, shapingFocusTint=(0.5, 0.0, 0.2))
     else:
         vertical = np.arange(0, 181, 10)
         shaping.CreateShapingIesFileAttr(written(tmp_path / "a.ies", vertical, 900.0 - 4.0 * vertical))
@@ -202,13 +200,11 @@ def test_a_normalized_profile_keeps_the_energy(empty, tmp_path, vertical):
     nothing.
     """
     stage = empty()
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateRadiusAttr(0.05)
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.05)
     lamp.AddTranslateOp().Set((0, 5, 6))
     shaping = UsdLux.ShapingAPI.Apply(lamp.GetPrim())
-    shaping.CreateShapingConeAngleAttr(180.0)
-    shaping.CreateShapingIesFileAttr(written(tmp_path / "a.ies", vertical, [730.0] * 3))
-    shaping.CreateShapingIesNormalizeAttr(True)
+    fill(shaping, shapingConeAngle=180.0, shapingIesFile=written(tmp_path / "a.ies", vertical, [730.0] * 3))
+    fill(shaping, shapingIesNormalize=True)
     found, _ = irradiance(stage, (1.0, 5, 3.0), (0, 0, 1), samples=1)
     np.testing.assert_allclose(found, math.pi * 0.05**2 * 3.0 / 10.0**1.5, rtol=0.002)
 
@@ -216,8 +212,7 @@ def test_a_normalized_profile_keeps_the_energy(empty, tmp_path, vertical):
 def test_the_angle_scale_draws_a_profile_out_from_its_top(empty, tmp_path):
     """At 60 degrees and a scale of 0.5 the file is read at (60 - 180) / 1.5 + 180 = 100 degrees."""
     stage = empty()
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateRadiusAttr(0.05)
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.05)
     lamp.AddTranslateOp().Set((0, 5, 6))
     shaping = UsdLux.ShapingAPI.Apply(lamp.GetPrim())
     shaping.CreateShapingConeAngleAttr(180.0)
@@ -238,9 +233,7 @@ def test_the_picture_of_a_rect_light_is_upright_from_its_front(empty, tmp_path):
     pixels[0] *= 4.0
     write(tmp_path / "a.exr", pixels)
     stage = empty()
-    light = UsdLux.RectLight.Define(stage, "/Lamp")
-    light.CreateIntensityAttr(100.0)
-    light.CreateTextureFileAttr(str(tmp_path / "a.exr"))
+    light = fill(UsdLux.RectLight.Define(stage, "/Lamp"), intensity=100.0, textureFile=str(tmp_path / "a.exr"))
     light.AddTranslateOp().Set((0, 5, 2))  # looks down; +X is +X, +Y is +Y of the scene
     loaded, sides = loaded_of(stage), [(x, y) for x in (-1, 1) for y in (-1, 1)]
     near = {(x, y): irradiance_of(loaded, (0.45 * x, 5 + 0.45 * y, 1.9), (0, 0, 1))[0] for x, y in sides}
@@ -261,8 +254,7 @@ def test_two_skies_add_up_in_the_frame_of_the_larger(empty, tmp_path):
     def stage_of(names):
         stage = empty()
         for name in names:
-            light = UsdLux.DomeLight.Define(stage, f"/Sky{name}")
-            light.CreateTextureFileAttr(str(tmp_path / f"{name}.exr"))
+            light = fill(UsdLux.DomeLight.Define(stage, f"/Sky{name}"), textureFile=str(tmp_path / f"{name}.exr"))
             light.AddRotateXYZOp().Set((90, 0, 90) if name == "a" else (0, 20, 0))
         return stage
 

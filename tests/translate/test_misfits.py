@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pxr import Gf, Sdf, UsdGeom, UsdShade
-from support.looks import SQUARE, TYPES, shade
+from support.looks import SQUARE, TYPES, fill, shade
 
 from synfog_usd.translate import translate
 
@@ -41,10 +41,8 @@ def painted(empty, tmp_path):
         stage = empty()
         for k in range(count):
             mesh = UsdGeom.Mesh.Define(stage, f"/Mesh{k}")
-            mesh.CreatePointsAttr([(x + 2.0 * k, y, z) for x, y, z in SQUARE])
-            mesh.CreateFaceVertexCountsAttr([4])
-            mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-            mesh.CreateSubdivisionSchemeAttr("none")
+            fill(mesh, points=[(x + 2.0 * k, y, z) for x, y, z in SQUARE], faceVertexCounts=[4])
+            fill(mesh, faceVertexIndices=[0, 1, 2, 3], subdivisionScheme="none")
             api = UsdGeom.PrimvarsAPI(mesh)
             api.CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex").Set([(0, 0), (1, 0), (1, 1), (0, 1)])
             api.CreatePrimvar("tint", TYPES.Color3f).Set((0.5, 0.25, 0.125))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 from support.cli import run
-from support.looks import TYPES, write
+from support.looks import TYPES, fill, write
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.dataset import check as verb
@@ -115,18 +115,14 @@ def stage_of(folder, cases, *, coordinates=True):
     for k, case in enumerate(cases):
         x, z = k % across - across / 2.0, k // across - across / 2.0
         mesh = UsdGeom.Mesh.Define(stage, f"/World/Mesh{k}")
-        mesh.CreatePointsAttr([(x, 9, z), (x + 1, 9, z), (x + 1, 9, z + 1), (x, 9, z + 1)])
-        mesh.CreateFaceVertexCountsAttr([4])
-        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-        mesh.CreateSubdivisionSchemeAttr("none")
-        mesh.CreateDisplayColorAttr([(0.25, 0.5, 0.75)])
+        fill(mesh, points=[(x, 9, z), (x + 1, 9, z), (x + 1, 9, z + 1), (x, 9, z + 1)], faceVertexCounts=[4])
+        fill(mesh, faceVertexIndices=[0, 1, 2, 3], subdivisionScheme="none", displayColor=[(0.25, 0.5, 0.75)])
         if coordinates:
             corners = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "vertex")
             corners.Set([(0, 0), (1, 0), (1, 1), (0, 1)])
         material = UsdShade.Material.Define(stage, f"/World/M{k}")
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-        usual = UsdShade.Shader.Define(stage, f"/World/M{k}/Usual")
-        usual.CreateIdAttr("UsdPreviewSurface")
+        usual = fill(UsdShade.Shader.Define(stage, f"/World/M{k}/Usual"), id="UsdPreviewSurface")
         usual.CreateInput("diffuseColor", TYPES.Color3f).Set(tuple(RED))
         material.CreateSurfaceOutput().ConnectToSource(usual.CreateOutput("surface", TYPES.Token))
         own = shader(stage, material.GetPath(), case, [0])
@@ -139,8 +135,7 @@ def shader(stage, material, case, count):
     """Output of a shader and all that it is made of."""
     kind, inputs = case
     count[0] += 1
-    made = UsdShade.Shader.Define(stage, material.AppendChild(f"S{count[0]}"))
-    made.CreateIdAttr(f"mitsuba_{kind}")
+    made = fill(UsdShade.Shader.Define(stage, material.AppendChild(f"S{count[0]}")), id=f"mitsuba_{kind}")
     kinds = {bool: TYPES.Bool, float: TYPES.Float, str: TYPES.String, Sdf.AssetPath: TYPES.Asset}
     for name, value in inputs.items():
         if isinstance(value, tuple) and isinstance(value[0], str):

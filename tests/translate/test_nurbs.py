@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import UsdGeom
 from scipy.interpolate import BSpline
-from support.looks import painted, picture_of, with_st, write
+from support.looks import fill, painted, picture_of, with_st, write
 
 from synfog_usd.translate import translate
 
@@ -24,11 +24,9 @@ def area_vectors(shape):
 
 def curve(stage, points, order, knots, **more):
     curves = UsdGeom.NurbsCurves.Define(stage, "/Curves")
-    curves.CreatePointsAttr([tuple(map(float, point)) for point in points])
-    curves.CreateCurveVertexCountsAttr(more.pop("counts", [len(points)]))
-    curves.CreateOrderAttr(order)
-    curves.CreateKnotsAttr(list(map(float, knots)))
-    curves.CreateWidthsAttr([0.02])
+    fill(curves, points=[tuple(map(float, point)) for point in points])
+    fill(curves, curveVertexCounts=more.pop("counts", [len(points)]), order=order, knots=list(map(float, knots)))
+    fill(curves, widths=[0.02])
     curves.SetWidthsInterpolation("constant")
     for name, value in more.items():
         curves.GetPrim().GetAttribute(name).Set(value)
@@ -79,13 +77,8 @@ def test_broken_curves_are_left_out_with_a_note(empty, more, found):
 
 def patch(stage, points, shape, orders, knots, weights=None):
     prim = UsdGeom.NurbsPatch.Define(stage, "/Patch")
-    prim.CreatePointsAttr([tuple(map(float, point)) for point in points])
-    prim.CreateUVertexCountAttr(shape[0])
-    prim.CreateVVertexCountAttr(shape[1])
-    prim.CreateUOrderAttr(orders[0])
-    prim.CreateVOrderAttr(orders[1])
-    prim.CreateUKnotsAttr(list(map(float, knots[0])))
-    prim.CreateVKnotsAttr(list(map(float, knots[1])))
+    fill(prim, points=[tuple(map(float, point)) for point in points], uVertexCount=shape[0], vVertexCount=shape[1])
+    fill(prim, uOrder=orders[0], vOrder=orders[1], uKnots=list(map(float, knots[0])), vKnots=list(map(float, knots[1])))
     if weights is not None:
         prim.CreatePointWeightsAttr(list(map(float, weights)))
     return prim
@@ -173,8 +166,7 @@ def test_tetrahedra_are_drawn_by_their_outside(empty, only_shape, authored, orie
     ]
     if orientation == "leftHanded":
         cells = [(a, c, b, d) for a, b, c, d in cells]
-    mesh.CreateTetVertexIndicesAttr(cells)
-    mesh.CreateOrientationAttr(orientation)
+    fill(mesh, tetVertexIndices=cells, orientation=orientation)
     if authored:
         mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
     mesh.CreateDisplayColorPrimvar("vertex").Set([(k / 7, 0, 0) for k in range(8)])

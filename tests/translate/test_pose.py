@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, UsdGeom
+from support.looks import fill
 
 from synfog_usd.translate import translate
 
@@ -39,8 +40,7 @@ def test_points_of_an_instancer_have_frames_of_their_own(empty):
     instancer = UsdGeom.PointInstancer.Define(stage, "/Cars")
     car(stage, "/Cars/Prototypes/Car")
     instancer.CreatePrototypesRel().SetTargets(["/Cars/Prototypes/Car"])
-    instancer.CreateProtoIndicesAttr([0, 0])
-    instancer.CreatePositionsAttr([(1.0, 20.0, 0.0), (5.0, 30.0, 0.0)])
+    fill(instancer, protoIndices=[0, 0], positions=[(1.0, 20.0, 0.0), (5.0, 30.0, 0.0)])
     made = translate(stage)
     places = [instance.frame[:3, 3] + made.origin_m for instance in made.instances]
     np.testing.assert_allclose(places, [[1.0, 20.0, 0.0], [5.0, 30.0, 0.0]], atol=1e-6)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from support.looks import fill
 
 from synfog_usd.translate import translate
 
@@ -17,22 +18,16 @@ def arm(stage, path):
     joints = ["Shoulder", "Shoulder/Elbow"]
     rest = Vt.Matrix4dArray([Gf.Matrix4d(1), Gf.Matrix4d().SetTranslate((0, 0, 1))])
     skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
-    skeleton.CreateJointsAttr(joints)
-    skeleton.CreateBindTransformsAttr(rest)
-    skeleton.CreateRestTransformsAttr(rest)
+    fill(skeleton, joints=joints, bindTransforms=rest, restTransforms=rest)
     animation = UsdSkel.Animation.Define(stage, f"{path}/Wave")
-    animation.CreateJointsAttr(joints)
-    animation.CreateTranslationsAttr([(0, 0, 0), (0, 0, 1)])
-    animation.CreateScalesAttr(Vt.Vec3hArray([(1, 1, 1)] * 2))
+    fill(animation, joints=joints, translations=[(0, 0, 0), (0, 0, 1)], scales=Vt.Vec3hArray([(1, 1, 1)] * 2))
     turns = animation.CreateRotationsAttr()
     for frame, degrees in ((1, 0.0), (2, 90.0)):
         turn = Gf.Quatf(Gf.Rotation((0, 1, 0), degrees).GetQuat())
         turns.Set(Vt.QuatfArray([Gf.Quatf(1), turn]), frame)
     mesh = UsdGeom.Mesh.Define(stage, f"{path}/Mesh")
-    mesh.CreatePointsAttr([(0, 0, 0), (0.1, 0, 0), (0.1, 0, 2), (0, 0, 2)])
-    mesh.CreateFaceVertexCountsAttr([4])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-    mesh.CreateSubdivisionSchemeAttr("none")
+    fill(mesh, points=[(0, 0, 0), (0.1, 0, 0), (0.1, 0, 2), (0, 0, 2)], faceVertexCounts=[4])
+    fill(mesh, faceVertexIndices=[0, 1, 2, 3], subdivisionScheme="none")
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([f"{path}/Skeleton"])
     binding.CreateJointIndicesPrimvar(False, 1).Set([0, 0, 1, 1])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdLux
+from support.looks import fill
 
 from synfog_usd.translate import translate
 
@@ -22,17 +23,12 @@ def street(up, metres_per_unit, far=0.0):
     UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
     one = 1.0 / metres_per_unit
     mesh = UsdGeom.Mesh.Define(stage, "/Box")
-    mesh.CreatePointsAttr([vector(*p) - vector(0, 0, 0) for p in BOX])
-    mesh.CreateFaceVertexCountsAttr([4] * 6)
-    mesh.CreateFaceVertexIndicesAttr(QUADS)
-    mesh.CreateSubdivisionSchemeAttr("none")
+    fill(mesh, points=[vector(*p) - vector(0, 0, 0) for p in BOX], faceVertexCounts=[4] * 6, faceVertexIndices=QUADS)
+    fill(mesh, subdivisionScheme="none")
     mesh.AddTranslateOp().Set(vector(2, 20, 0))
-    ball = UsdGeom.Sphere.Define(stage, "/Ball")
-    ball.CreateRadiusAttr(0.5 * one)
+    ball = fill(UsdGeom.Sphere.Define(stage, "/Ball"), radius=0.5 * one)
     ball.AddTranslateOp().Set(vector(-2, 15, 0.5))
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    lamp.CreateRadiusAttr(0.1 * one)
-    lamp.CreateIntensityAttr(700)
+    lamp = fill(UsdLux.SphereLight.Define(stage, "/Lamp"), radius=0.1 * one, intensity=700)
     lamp.AddTranslateOp().Set(vector(0, 10, 6))
     fog = UsdGeom.Cube.Define(stage, "/Fog")
     fog.GetPrim().AddAppliedSchema("SynFogMediumAPI")
@@ -41,11 +37,8 @@ def street(up, metres_per_unit, far=0.0):
         Gf.Vec3f(50 * one, 50 * one, 25 * one) if up == "Z" else Gf.Vec3f(50 * one, 25 * one, 50 * one)
     )
     camera = UsdGeom.Camera.Define(stage, "/Camera")
-    camera.CreateFocalLengthAttr(0.35 * one)
-    camera.CreateHorizontalApertureAttr(0.36 * one)
-    camera.CreateVerticalApertureAttr(0.24 * one)
-    camera.CreateFStopAttr(2.8)
-    camera.CreateFocusDistanceAttr(12 * one)
+    fill(camera, focalLength=0.35 * one, horizontalAperture=0.36 * one, verticalAperture=0.24 * one, fStop=2.8)
+    fill(camera, focusDistance=12 * one)
     camera.AddTranslateOp().Set(vector(0.25, -3, 1.5))
     if up == "Z":
         camera.AddRotateXOp().Set(90.0)

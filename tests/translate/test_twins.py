@@ -1,6 +1,7 @@
 """Thousands of shapes in one place are not drawn, and what is told of them."""
 
 from pxr import Gf, Sdf, UsdGeom, Vt
+from support.looks import fill
 
 from synfog_usd.translate import translate
 from synfog_usd.translate.twins import MOST
@@ -36,8 +37,7 @@ def test_instances_in_one_place_are_drawn_up_to_a_number(empty):
     instancer = UsdGeom.PointInstancer.Define(stage, "/Many")
     UsdGeom.Cube.Define(stage, "/Many/Cube")
     instancer.CreatePrototypesRel().SetTargets([Sdf.Path("/Many/Cube")])
-    instancer.CreateProtoIndicesAttr([0] * 60)
-    instancer.CreatePositionsAttr(Vt.Vec3fArray([(0, 10, 0)] * 50 + [(x, 20, 0) for x in range(10)]))
+    fill(instancer, protoIndices=[0] * 60, positions=Vt.Vec3fArray([(0, 10, 0)] * 50 + [(x, 20, 0) for x in range(10)]))
     scene = translate(stage)
     assert len(drawn(scene, "instance_")) == MOST + 10
     assert [note.text.split()[0] for note in told(scene)] == [str(50 - MOST)]

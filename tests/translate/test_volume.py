@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
+from support.looks import fill
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogMedium, FogVolume
@@ -28,8 +29,7 @@ BOX = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 
 
 def fog_box(stage, path, centre=(0, 0, 0), half=10.0, **attributes):
-    cube = UsdGeom.Cube.Define(stage, path)
-    cube.CreatePurposeAttr("guide")
+    cube = fill(UsdGeom.Cube.Define(stage, path), purpose="guide")
     cube.AddTranslateOp().Set(tuple(float(c) for c in centre))
     cube.AddScaleOp().Set((half, half, half))
     cube.GetPrim().AddAppliedSchema("SynFogMediumAPI")
@@ -394,8 +394,7 @@ def test_a_volume_material_makes_fog_and_never_a_solid(empty, polygon_mesh, clos
     mesh = polygon_mesh(stage, "/Room", BOX, [4] * (6 if closed else 5), QUADS[: 24 if closed else 20])
     mesh.AddScaleOp().Set((40.0, 40.0, 20.0))
     material = UsdShade.Material.Define(stage, "/Air")
-    shader = UsdShade.Shader.Define(stage, "/Air/Volume")
-    shader.CreateIdAttr("kma_volume")
+    shader = fill(UsdShade.Shader.Define(stage, "/Air/Volume"), id="kma_volume")
     material.CreateVolumeOutput().ConnectToSource(shader.CreateOutput("out", TYPES.Token))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     scene = translate(stage)
@@ -446,9 +445,7 @@ def vdb_stage(folder, **arrays):
     UsdGeom.Camera.Define(stage, "/Camera")
     volume = UsdVol.Volume.Define(stage, "/Bank")
     volume.AddTranslateOp().Set((0, 5000, 0))
-    asset = UsdVol.OpenVDBAsset.Define(stage, "/Bank/density")
-    asset.CreateFilePathAttr("./volumes/bank.vdb")
-    asset.CreateFieldNameAttr("density")
+    asset = fill(UsdVol.OpenVDBAsset.Define(stage, "/Bank/density"), filePath="./volumes/bank.vdb", fieldName="density")
     volume.CreateFieldRelationship("density", asset.GetPath())
     stage.Save()
     return open_stage(folder / "vdb.usda")

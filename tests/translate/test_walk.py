@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender, UsdSemantics
+from support.looks import fill
 
 from synfog_usd.translate import summary, translate
 
@@ -51,8 +52,7 @@ def test_visibility_by_purpose_is_usds_own(empty):
                     made = UsdGeom.Xform.Define(stage, prim).GetPrim()
                     if said is not None:
                         UsdGeom.VisibilityAPI.Apply(made).CreateRenderVisibilityAttr(said)
-                cube = UsdGeom.Cube.Define(stage, f"{path}/In/Cube")
-                cube.CreatePurposeAttr(purpose)
+                cube = fill(UsdGeom.Cube.Define(stage, f"{path}/In/Cube"), purpose=purpose)
                 cube.AddTranslateOp().Set((0.0, 5.0 * len(paths), 0.0))
                 paths.append(f"{path}/In/Cube")
 
@@ -224,8 +224,7 @@ def test_point_instances_are_things_with_their_numbers(empty, polygon_mesh):
             (2, 2, 2)
         )
         points.CreatePrototypesRel().AddTarget(f"/Trees/{name}")
-    points.CreateProtoIndicesAttr([0, 1, 0, 1])
-    points.CreatePositionsAttr([(0, 0, 0), (5, 0, 0), (10, 0, 0), (15, 0, 0)])
+    fill(points, protoIndices=[0, 1, 0, 1], positions=[(0, 0, 0), (5, 0, 0), (10, 0, 0), (15, 0, 0)])
     points.DeactivateId(2)
     scene = translate(stage)
     assert sorted(named(scene).values()) == [
@@ -283,10 +282,8 @@ def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):
     stage.GetPrimAtPath("/Hidden").SetSpecifier(Sdf.SpecifierOver)
     instancer = UsdGeom.PointInstancer.Define(stage, "/Points")
     instancer.CreatePrototypesRel().AddTarget(mesh.GetPath())
-    instancer.CreateProtoIndicesAttr([0] * 4)
-    instancer.CreatePositionsAttr([(float(x), 0.0, 0.0) for x in range(4)])
-    instancer.CreateIdsAttr([10, 11, 12, 13])
-    instancer.CreateInvisibleIdsAttr([11])
+    fill(instancer, protoIndices=[0] * 4, positions=[(float(x), 0.0, 0.0) for x in range(4)], ids=[10, 11, 12, 13])
+    fill(instancer, invisibleIds=[11])
     instancer.DeactivateId(13)
     world = translate(stage).world
     found = [part["to_world"][0, 3] for key, part in world.items() if key.startswith("instance_")]
