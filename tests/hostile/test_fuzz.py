@@ -205,7 +205,7 @@ TENTH = struct.pack("<d", 0.1)
     ('def "QuickFox"\n{\n def Cube "Box"\n {\n }\n}\n', b"QuickFox", b"Quick\xdcox", "cannot be read as USD"),
     (CHOICE, b"\0Fox\0", b"\0Box\0", "named and not there; the file is damaged"),
     ('def "W" (\n noLoadHint = true\n)\n{\n}\n', b"noLoadHint", b"apiSchemas", "the apiSchemas of /W are no list"),
-    (CUSTOM, re.escape(TENTH) + b"(.{6})\x09", TENTH + rb"\g<1>\x00", "unsupported type enum value 0"),
+    (CUSTOM, re.escape(TENTH) + b"(.{6})\x09", TENTH + b"\\g<1>\x00", "unsupported type enum value 0"),
 ])  # fmt: skip
 def test_damage_of_binary_files_that_was_found_is_one_line(tmp_path, capfd, text, old, new, words):
     """By the test below: names that are no UTF-8, names and values of no type, which ended the process or warned."""

@@ -17,7 +17,8 @@ KINDS = {bool: TYPES.Bool, int: TYPES.Int, float: TYPES.Float, str: TYPES.Token,
 
 def write(path, pixels, **attributes):
     """Write (H, W, C) pixels of any type; alpha stays as it is given."""
-    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype))
+    kind = {"float32": "float", "float16": "half"}.get(str(pixels.dtype), str(pixels.dtype))
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], kind)
     for name, value in {"oiio:UnassociatedAlpha": 1, **attributes}.items():
         spec.attribute(name, value)
     path.parent.mkdir(exist_ok=True, parents=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import subprocess
 import sys
@@ -13,62 +12,24 @@ import OpenImageIO
 import pytest
 from pxr import Sdf
 
-from assets.builders import __main__ as builders
-from assets.builders import skies
+from assets.builders import homesteads, roadside, skies
+from synfog_usd.world.components import write_component
+from synfog_usd.world.lod import bare, with_low
 
 ROOT = Path(__file__).resolve().parents[2]
-WORLDS = ("crossroads", "residential", "roundabout")
 
 
-def test_no_module_of_the_package_imports_the_workshop():
-    """Read from the source, functions too."""
-    for path in sorted((ROOT / "synfog_usd").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = (
-                [alias.name for alias in node.names]
-                if isinstance(node, ast.Import)
-                else [node.module or ""]
-                if isinstance(node, ast.ImportFrom)
-                else []
-            )
-            assert not [name for name in names if name.split(".")[0] == "assets"], path
+def made(what, folder):
+    """Relative name -> bytes of what the workshop writes, in a process of its own, as one calls it.
 
-
-@pytest.mark.parametrize("worlds", [WORLDS[-1:], pytest.param(WORLDS[:-1], marks=pytest.mark.slow)])
-def test_composing_loads_no_builder(tmp_path, worlds):
-    """A process that has composed a roundabout, or a crossing and a road, has loaded no module of the workshop."""
-    code = (
-        "import sys; from pathlib import Path; from synfog_usd.world.compose import compose; "
-        f"[compose(Path({str(ROOT / 'stages' / 'recipes')!r}) / f'{{name}}.yaml', Path({str(tmp_path)!r}) / "
-        f"f'{{name}}.usda', seed=1) for name in {worlds}]; "
-        "loaded = lambda: [name for name in sys.modules if name.split('.')[0] == 'assets']; assert loaded() == [], "
-        "loaded(); "
-        "import assets.builders; assert loaded()"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert len(list(tmp_path.glob("*.usda"))) == len(worlds) * 6  # a root layer and five departments each
-
-
-def test_nominal_sizes_are_what_the_code_writes(tmp_path):
-    """Remake with `python -m assets.builders models`."""
-    assert builders.write_nominal(tmp_path).read_bytes() == (ROOT / "assets" / "models" / "nominal.json").read_bytes()
-
-
-def made(what, folder, only=()):
-    """Relative name -> bytes of what the workshop writes, in a process of its own, as one calls it: after renders in
-    the same process, decimation has been seen to round otherwise.
+    After renders in the same process decimation has been seen to round otherwise.
     """
     (folder / "docs" / "images").mkdir(parents=True)
     command = [sys.executable, "-m", "assets.builders", what, "--out", str(folder)]
-    command += ["--only", *only] if only else []
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted((folder / "assets").rglob("*"))
-        if path.is_file()
-    }
+    files = [path for path in sorted((folder / "assets").rglob("*")) if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 ROUNDED = 25
@@ -147,13 +108,22 @@ def assert_same_sky(made, shipped, folder):
     assert np.mean(apart > 0.0) < 1e-4 and (apart <= 1.01 / 128 * np.abs(theirs)).all()
 
 
-SOME_SKIES = ("broken_noon", "rain", "night_glow")
-"""One of broken cloud, one of two layers, one that lamps light."""
+def test_some_models_and_skies_are_what_the_code_writes(tmp_path):
+    """Those that are made in a second; all of them are among the long tests."""
+    models = [one for one in roadside.build_roadside() if one.name in ("guard_rail", "lamp_post_top", "sign_direction")]
+    models += [one for one in homesteads.build_homesteads() if one.name == "warehouse"]
+    for one in models:
+        for file in write_component(bare(with_low(one)), tmp_path).parent.iterdir():
+            shipped = ROOT / "assets" / "models" / one.name / file.name
+            assert file.read_bytes() == shipped.read_bytes(), file
+    assert len(models) == 4
+    for path in skies.write_skies(tmp_path):
+        assert_same_sky(path.read_bytes(), (ROOT / "assets" / "skies" / path.name).read_bytes(), tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("what", ["textures", "lamps", "models"])
+@pytest.mark.parametrize("what", ["textures", "lamps", pytest.param("models", marks=pytest.mark.physics)])
 def test_every_asset_is_what_the_code_writes(what, tmp_path):
     """All of them byte for byte, meshes but for the sign of zeros and what `ROUNDED` bears."""
     shipped = shipped_of(what)
@@ -167,16 +137,14 @@ def test_every_asset_is_what_the_code_writes(what, tmp_path):
         assert_decimated_alike(tmp_path / name, shipped[name])
 
 
+@pytest.mark.physics
 @pytest.mark.timeout(2400)  # each of sixteen takes 40 to 60 processor seconds
-@pytest.mark.parametrize(
-    "only", [pytest.param(SOME_SKIES, marks=pytest.mark.slow), pytest.param((), marks=pytest.mark.physics)]
-)
-def test_every_sky_is_what_the_code_writes(only, tmp_path):
-    """To a step in a few pixels; nothing else lies there. CI paints three, and the two of the crossing."""
+def test_every_sky_is_what_the_code_writes(tmp_path):
+    """To a step in a few pixels; nothing else lies there."""
     shipped = shipped_of("skies")
     assert {Path(name).stem for name in shipped} == {*skies.SKIES, "overcast", "dusk"}
-    found = made("skies", tmp_path, only)
-    assert len(found) == (len(only) + 2 if only else len(shipped))
+    found = made("skies", tmp_path)
+    assert found.keys() == shipped.keys()
     for name, data in found.items():
         assert_same_sky(data, shipped[name].read_bytes(), tmp_path)
 
