@@ -300,36 +300,6 @@ def main() -> None:
         processor_s=processors,
         threads=arguments.threads,
     )
-    report(images, samples, walls, processors, arguments.threads)
-
-
-def report(images: np.ndarray, samples: np.ndarray, walls: np.ndarray, processors: np.ndarray, threads: int) -> None:
-    """Seconds a sample (slope between the least and the most), and noise of one sample and time to 1 % by each
-    count.
-    """
-    counts = np.unique(samples)
-    per_sample = {}
-    for name, seconds in (("wall", walls), ("processor", processors)):
-        least, most = (np.median(seconds[samples == n]) for n in (counts[0], counts[-1]))
-        per_sample[name] = (most - least) / max(counts[-1] - counts[0], 1) if len(counts) > 1 else most / counts[-1]
-    found = {
-        "s_per_sample_wall": per_sample["wall"],
-        "s_per_sample_processor_by_threads": per_sample["processor"] / threads,
-    }
-    for count in counts:
-        luminance = images[samples == count].astype(np.float64).mean(axis=3)
-        if len(luminance) > 1:
-            relative = np.sqrt(np.maximum(luminance.var(axis=0, ddof=1), 0.0)) / np.maximum(
-                luminance.mean(axis=0), 1e-30
-            )
-            # the root of a sample variance of few seeds has a median below sigma: chi-square's median over its degrees
-            # of freedom
-            n = len(luminance) - 1
-            median = float(np.median(relative)) / math.sqrt(1.0 - 2.0 / (9.0 * n)) ** 3
-            found[f"relative_sd_at_{count}"] = median
-            found[f"relative_sd_of_one_by_{count}"] = median * math.sqrt(count)
-            found[f"s_to_1_percent_by_{count}"] = (median / 0.01) ** 2 * count * per_sample["processor"] / threads
-    print(json.dumps({name: float(f"{value:.5g}") for name, value in found.items()}))
 
 
 if __name__ == "__main__":

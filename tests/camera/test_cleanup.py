@@ -9,9 +9,7 @@ from synfog_usd import camera
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera import cfa
-from synfog_usd.camera.cleanup import defects, denoise, false_colour, sharpen, starlet_noise
-from synfog_usd.camera.demosaic import demosaic
+from synfog_usd.camera.cleanup import defects, denoise, false_colour, sharpen
 from synfog_usd.camera.graph import make_graph
 
 WELL_E, READ_E = 6000.0, 5.0
@@ -58,19 +56,18 @@ def textured(size, seed, contrast=0.4) -> np.ndarray:
 # ---- defects
 
 
-@pytest.mark.parametrize("scene", ["dark", "grey", "texture"])
+@pytest.mark.parametrize("scene", ["dark", "texture"])
 def test_ordinary_pixels_stay(scene):
     """A million noisy pixels without a defect: fewer than ten (1e-5) change.
 
     None of a million tells a rate below 3e-6 (95 %).
     """
-    mean = {"dark": np.zeros((1000, 1000)), "grey": np.full((1000, 1000), 0.4), "texture": textured(1000, 3)}[scene]
+    mean = np.zeros((1000, 1000)) if scene == "dark" else textured(1000, 3)
     out = defects(mosaic(frame(mean, 1)))
     assert out.provenance["defects_corrected"] < 10
 
 
-@pytest.mark.parametrize("pattern", ["RGGB", "RGIB", "MONO"])
-@pytest.mark.parametrize("level", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("pattern, level", [("RGGB", 0.5), ("RGIB", 0.1), ("MONO", 0.0)])
 def test_all_single_hot_pixels_of_twenty_sigma_are_found(level, pattern):
     """1024 of them, twelve pixels apart, all phases, corners and borders included; each becomes what it was, to the
     noise of a median.
@@ -86,14 +83,6 @@ def test_all_single_hot_pixels_of_twenty_sigma_are_found(level, pattern):
     untouched = np.ones(image.shape, dtype=bool)
     untouched[rows, columns] = False
     np.testing.assert_array_equal(out.pixels[..., 0][untouched], image[untouched])
-
-
-def test_dead_pixels_are_found():
-    image = frame(np.full((120, 120), 0.5), 3)
-    image[5::12, 4::12] = 0.0
-    out = defects(mosaic(image))
-    assert out.provenance["defects_corrected"] == 100
-    assert out.pixels.min() > 0.4
 
 
 def test_lamps_are_left_alone():
@@ -151,25 +140,7 @@ def test_defects_need_a_noise_profile_and_leave_tiny_pictures_alone():
 # ---- denoise
 
 
-def test_noise_of_the_starlet_levels():
-    """Against the transform of noise itself: 2048 x 2048 numbers, whose standard deviations repeat to 0.3 % even at
-    level 3.
-    """
-    from scipy.ndimage import convolve1d
-
-    plane = seeds.stream(0, "starlet").standard_normal((2048, 2048), dtype=np.float32)
-    found = []
-    for level in range(3):
-        kernel = np.zeros(4 * 2**level + 1)
-        kernel[:: 2**level] = np.array([1, 4, 6, 4, 1]) / 16
-        smooth = convolve1d(convolve1d(plane, kernel, axis=0, mode="wrap"), kernel, axis=1, mode="wrap")
-        found.append((plane - smooth).std(dtype=np.float64))
-        plane = smooth
-    np.testing.assert_allclose(starlet_noise(3), found, rtol=0.01)
-
-
-@pytest.mark.parametrize("pattern", ["RGGB", "RGIB", "MONO"])
-@pytest.mark.parametrize("level", [0.02, 0.4])
+@pytest.mark.parametrize("pattern, level", [("RGGB", 0.02), ("RGIB", 0.4)])
 def test_noise_falls_and_the_mean_stays(level, pattern):
     """Flat grey: noise below a fifth; the mean within 4 standard errors of the input's own."""
     clean = frame(np.full((400, 400), level), 4)
@@ -197,28 +168,6 @@ def test_contrast_above_the_noise_stays_and_below_it_goes():
     assert abs(out[50::100, 50::100].mean() - level) < 0.5 * sigma(level)
 
 
-@pytest.mark.parametrize("pattern", ["RGGB", "MONO"])
-def test_no_strength_changes_nothing_and_the_input_is_left_alone(pattern):
-    image = mosaic(frame(textured(200, 7), 7), pattern)
-    before = image.pixels.copy()
-    np.testing.assert_allclose(denoise(image, strength=0.0).pixels, before, atol=3e-7)
-    denoise(image)
-    defects(image)
-    np.testing.assert_array_equal(image.pixels, before)
-
-
-def test_a_detail_of_another_colour_is_not_mixed_in():
-    """Each filter by itself: a picture whose reds are bright keeps greens and blues as dark as they are."""
-    planes = np.broadcast_to(np.array([0.8, 0.1, 0.3], np.float32), (64, 64, 3))
-    image = mosaic(cfa.mosaic_of(planes, "BGGR")[..., 0], "BGGR")
-    np.testing.assert_allclose(denoise(image).pixels, image.pixels, atol=1e-6)
-
-
-def test_small_pictures_are_denoised_too():
-    for shape in ((1, 1), (2, 3), (5, 4)):
-        assert np.isfinite(denoise(mosaic(frame(np.full(shape, 0.3), 8)), levels=5).pixels).all()
-
-
 # ---- false colours
 
 
@@ -244,18 +193,6 @@ def test_colour_differences_become_medians_as_scipy_takes_them():
         np.testing.assert_array_equal(out[..., channel][inside], (pixels[..., 1] + expected)[inside])
 
 
-def test_leaves_before_a_white_sky_lose_a_third_of_the_colour_that_demosaicing_gave_them():
-    """Grey leaves of one pixel, a fifth of the view: none of the colour is theirs, and of leaves so fine more
-    neighbours have it than not."""
-    leaves = seeds.stream(3, "leaves").random((120, 120)) < 0.2
-    demosaiced = demosaic(mosaic(np.where(leaves, 0.05, 1.0)))
-    before, after = (
-        np.abs(i.pixels[..., ::2] - i.pixels[..., 1:2]).mean() for i in (demosaiced, false_colour(demosaiced))
-    )
-    assert before > 0.1
-    assert after < 0.67 * before
-
-
 def test_an_edge_between_two_colours_and_a_picture_without_colours_stay():
     pixels = np.full((20, 20, 3), (0.5, 0.1, 0.1), np.float32)
     pixels[:, 9:] = (0.1, 0.3, 0.6)
@@ -279,27 +216,10 @@ def wave(period_px, amplitude=0.1) -> Image:
     )
 
 
-@pytest.mark.parametrize("period_px", [4.0, 10.0, 40.0])
-@pytest.mark.parametrize("radius_px", [0.8, 2.0])
+@pytest.mark.parametrize("radius_px, period_px", [(0.8, 4.0), (2.0, 10.0)])
 def test_waves_rise_as_the_unsharp_mask_says(radius_px, period_px):
     """Amplitude times 1 + amount (1 - exp(-2 pi^2 r^2 / P^2)); 1 % for a kernel cut at 3 r and sampled at pixels."""
     out = sharpen(wave(period_px), radius_px=radius_px, amount=0.8, threshold=0.0).pixels[10, 100:300, 0]
     expected = 0.1 * (1 + 0.8 * (1 - np.exp(-2 * (np.pi * radius_px / period_px) ** 2)))
     carrier = np.sin(2 * np.pi * np.arange(100, 300) / period_px)
     assert 2 * np.mean((out - 0.5) * carrier) == pytest.approx(expected, rel=0.01)
-
-
-def test_what_is_below_the_threshold_stays_and_colours_stay():
-    faint = wave(4.0, amplitude=0.005)
-    np.testing.assert_allclose(sharpen(faint, threshold=0.01).pixels, faint.pixels, atol=1e-6)
-    pixels = wave(6.0).pixels * np.array([1.0, 0.8, 0.6], np.float32)
-    out = sharpen(Image(pixels, ("R", "G", "B"), Quantity.DISPLAY_RGB)).pixels - pixels
-    np.testing.assert_allclose(out, np.repeat(out[..., :1], 3, axis=2), atol=1e-6)  # the same is added to R, G and B
-    assert np.abs(out).max() > 0.01
-
-
-def test_sharpening_stays_between_black_and_white_and_takes_grey():
-    edge = np.zeros((20, 20, 1), np.float32)
-    edge[:, 10:] = 1.0
-    out = sharpen(Image(edge, ("Y",), Quantity.DISPLAY_RGB), amount=3.0)
-    assert out.pixels.min() == 0.0 and out.pixels.max() == 1.0 and out.channels == ("Y",)

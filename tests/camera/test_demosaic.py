@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -13,7 +11,6 @@ from synfog_usd.base import seeds
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa
-from synfog_usd.camera import demosaic as ops
 from synfog_usd.camera.demosaic import demosaic
 
 ALGORITHMS = ("directional", "linear", "mhc", "menon")
@@ -47,8 +44,7 @@ def smooth_noise(height, width, planes) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("pattern", cfa.BAYER)
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("pattern, algorithm", [("GBRG", algorithm) for algorithm in ALGORITHMS])
 def test_demosaicing_keeps_known_samples_and_even_colours(algorithm, pattern):
     """Pixels keep their own value; an even colour comes back everywhere, borders and odd sizes too."""
     out = demosaic(of_planes(np.broadcast_to([0.2, 0.4, 0.7], (9, 11, 3)), pattern), algorithm=algorithm)
@@ -59,7 +55,7 @@ def test_demosaicing_keeps_known_samples_and_even_colours(algorithm, pattern):
     np.testing.assert_array_equal(cfa.mosaic_of(out.pixels, pattern), image.pixels)
 
 
-@pytest.mark.parametrize("pattern", cfa.BAYER)
+@pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
 def test_menon_is_that_of_colour_demosaicing(pattern):
     pixels = noise(33, 40)
     expected = colour_demosaicing.demosaicing_CFA_Bayer_Menon2007(pixels.astype(np.float64), pattern)
@@ -68,9 +64,8 @@ def test_menon_is_that_of_colour_demosaicing(pattern):
     assert out.provenance["demosaic"] == "menon"
 
 
-@pytest.mark.parametrize("pattern", cfa.BAYER)
 @pytest.mark.parametrize(("algorithm", "judge"), [("linear", "bilinear"), ("mhc", "Malvar2004")])
-def test_openimageio_agrees_with_colour_demosaicing_inside(algorithm, judge, pattern):
+def test_openimageio_agrees_with_colour_demosaicing_inside(algorithm, judge, pattern="GRBG"):
     """The same two algorithms by another hand; they differ in the two rows at the border.  float32 rounding."""
     pixels = noise(33, 40)
     expected = getattr(colour_demosaicing, f"demosaicing_CFA_Bayer_{judge}")(pixels.astype(np.float64), pattern)
@@ -107,7 +102,7 @@ def off_grey(picture) -> float:
     return float(np.ptp(picture[12:-12, 12:-12], axis=2).mean())
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 3.0, 20.0, 70.0, 87.0, 90.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 20.0, 87.0])
 def test_directional_leaves_a_neutral_edge_neutral(angle_deg):
     """A fifth at most of the colour that linear interpolation makes, and no more than 1.5 times Menon's."""
     image = of_planes(np.repeat(grey_edge(angle_deg)[..., None], 3, axis=2), "RGGB")
@@ -116,27 +111,6 @@ def test_directional_leaves_a_neutral_edge_neutral(angle_deg):
     )
     assert directional < 0.2 * linear
     assert directional < max(1.5 * menon, 1e-6)
-
-
-def test_directional_is_less_noisy_than_menon():
-    """Even grey with white noise: brightness and colour both; 200 x 200 pixels know each to 1 %."""
-    image = mosaic(0.5 + 0.02 * seeds.stream(2, "demosaic").standard_normal((200, 200)))
-    found = {}
-    for name in ("directional", "menon"):
-        picture = demosaic(image, algorithm=name).pixels[8:-8, 8:-8]
-        luminance = picture @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-        found[name] = (float(luminance.std()), off_grey(picture))
-    assert found["directional"][0] < 0.95 * found["menon"][0] and found["directional"][1] < 0.97 * found["menon"][1]
-
-
-@pytest.mark.parametrize("pattern", OTHERS)
-def test_even_colours_come_back_behind_other_patterns(pattern):
-    """Each plane a constant: exact to float32 rounding, to the last pixel of odd sizes."""
-    letters = cfa.filters(pattern)
-    colour = np.linspace(0.2, 0.7, len(letters), dtype=np.float32)
-    out = demosaic(of_planes(np.broadcast_to(colour, (9, 11, len(letters))), pattern))
-    np.testing.assert_allclose(out.pixels, np.broadcast_to(colour, out.pixels.shape), rtol=3e-7)
-    assert out.channels == letters
 
 
 @pytest.mark.parametrize("pattern", [*OTHERS, "RCCC"])
@@ -177,46 +151,17 @@ def test_a_sensor_without_colour_gives_brightness():
 
 
 @pytest.mark.parametrize("pattern", list(cfa.PATTERNS))
-@pytest.mark.parametrize("shape", [(2, 2), (2, 5), (3, 2)])
+@pytest.mark.parametrize("shape", [(2, 2), (3, 5)])
 def test_the_smallest_pictures_are_taken(shape, pattern):
     for algorithm in ALGORITHMS:
         out = demosaic(mosaic(noise(*shape), pattern), algorithm=algorithm).pixels
         assert np.isfinite(out).all() and out.shape[:2] == shape
 
 
-@pytest.mark.parametrize("pattern", ["RGGB", "RCCB", "RCCC"])
-@pytest.mark.parametrize("shape", [(1, 4), (4, 1)])
-def test_a_picture_without_a_full_mosaic_is_refused(shape, pattern):
-    with pytest.raises(ImageError, match="the least is 2 x 2"):
-        demosaic(mosaic(np.zeros(shape), pattern))
-
-
 def test_a_mosaic_that_is_none_is_refused():
+    with pytest.raises(ImageError, match="the least is 2 x 2"):
+        demosaic(mosaic(np.zeros((1, 4))))
     with pytest.raises(ImageError, match="a mosaic has one channel"):
         demosaic(Image(np.zeros((4, 4, 3), np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB))
     with pytest.raises(ImageError, match="does not say its cfa_pattern"):
         demosaic(Image(np.zeros((4, 4, 1), np.float32), ("CFA",), Quantity.LINEAR_RGB))
-
-
-@pytest.mark.slow
-def test_menon_warns_of_nothing():
-    """In a fresh interpreter in which every warning is an error."""
-    code = (
-        "import numpy as np; from synfog_usd.camera.demosaic import demosaic; from synfog_usd.base.image import Image, "
-        "Quantity; "
-        "demosaic(Image(np.ones((4, 4, 1), np.float32), ('CFA',), Quantity.LINEAR_RGB, provenance={'cfa_pattern': "
-        "'RGGB'}), algorithm='menon')"
-    )
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and not done.stderr, done.stderr
-
-
-@pytest.mark.parametrize("pattern", cfa.BAYER)
-def test_strips_are_not_to_be_seen(pattern, monkeypatch):
-    """Strips of 16 rows give the bytes of one strip."""
-    noise = seeds.stream(0, "test", "strips").random((67, 30, 1), dtype=np.float32)
-    mosaic = Image(noise, ("RAW",), Quantity.LINEAR_RGB, provenance={"cfa": pattern})
-    monkeypatch.setattr(ops, "STRIP_ROWS", 68)
-    whole = ops._directional(mosaic.pixels[..., 0], pattern)
-    monkeypatch.setattr(ops, "STRIP_ROWS", 16)
-    np.testing.assert_array_equal(ops._directional(mosaic.pixels[..., 0], pattern), whole)

@@ -11,7 +11,7 @@ import pytest
 from synfog_usd import camera
 from synfog_usd.base.errors import GraphError, ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera import distortion, isp, optics
+from synfog_usd.camera import distortion
 
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.02)
 PINCUSHION = (0.2, -0.05, 0.0, 0.001)
@@ -53,36 +53,14 @@ def test_every_pixel_looks_where_opencv_says(coefficients):
     back = projected(found.row.astype(float), found.column.astype(float), found, coefficients)
     np.testing.assert_allclose(back, np.stack([columns, rows], axis=-1).reshape(-1, 2), atol=0.01)
     assert np.hypot(found.row - rows, found.column - columns).max() > 3.0
-
-
-@pytest.mark.parametrize("coefficients", [BARREL, PINCUSHION, RATIONAL])
-def test_inside_just_reaches_the_border(coefficients):
-    """No pixel looks outside the rendered picture, and one looks within 0.05 pixels of its border."""
-    found = warp(coefficients)
     room = min(found.row.min(), found.column.min(), SIZE[0] - 1 - found.row.max(), SIZE[1] - 1 - found.column.max())
-    assert 0.0 <= room < 0.05
+    assert 0.0 <= room < 0.05, "none looks outside the rendered picture, and one nearly does"
 
 
 def test_keep_keeps_the_focal_length_and_refuses_to_look_outside():
     assert warp(PINCUSHION, "keep").focal_px == pytest.approx(pinhole()[0], rel=1e-12)
     with pytest.raises(ImageError, match=r"\d+\.\d% of the pixels look outside the rendered picture; set fit: inside"):
         warp(BARREL, "keep")
-
-
-def test_lines_through_the_axis_stay_straight_and_others_bend_outwards():
-    """Radial distortion only; a barrel: the middle of a line stands further from the axis than its ends."""
-    _, cx, cy = pinhole()
-    found = distortion.warp_of(
-        distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])),
-        (-0.3, 0.1, 0.0, 0.0),
-        "inside",
-    )
-    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    turn = (found.row - cy) * (columns - cx) - (found.column - cx) * (rows - cy)  # 0 where both point the same way
-    np.testing.assert_allclose(turn / np.maximum(np.hypot(rows - cy, columns - cx), 1.0), 0.0, atol=0.01)
-    line = np.stack([np.full(101, 30.0), np.linspace(60.0, 250.0, 101)])
-    seen = projected(line[0], line[1], found, (-0.3, 0.1, 0.0, 0.0))
-    assert seen[50, 1] < seen[[0, -1], 1].min() - 1.0
 
 
 def test_a_smooth_picture_is_read_between_its_pixels():
@@ -136,12 +114,6 @@ def test_a_lens_without_distortion_changes_nothing():
     np.testing.assert_allclose(
         distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), **VIEW).pixels, 1.0, rtol=1e-6
     )
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 5), (1, 40)])
-def test_tiny_pictures_are_warped_too(shape):
-    image = light(np.full((*shape, 3), 4.0))
-    np.testing.assert_allclose(distortion.distortion(image, coefficients=BARREL, fov_x_deg=60.0).pixels, 4.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -201,32 +173,6 @@ def test_graphs_without_distortion_have_no_map_and_with_two_none_either(tmp_path
         distortion.of_graph(graph(tmp_path, GRAPH % "}\n  - {op: optics.distortion, name: again"), size)
 
 
-@pytest.mark.parametrize("falloff", ["cos4", "table"])
-def test_lens_shading_takes_a_bent_falloff_away(falloff):
-    """An even scene is even again."""
-    radiance = Image(np.full((*SIZE, 3), 5.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE)
-    table = {"field_deg": (0.0, 20.0, 50.0), "relative_illumination": (1.0, 0.8, 0.4)}
-    dark = optics.irradiance(radiance, f_number=2.0, transmission=1.0, falloff=falloff, **VIEW, **table)
-    bent = distortion.distortion(dark, coefficients=BARREL, **VIEW)
-    mosaic = Image(bent.pixels[..., 1:2].copy(), ("CFA",), Quantity.LINEAR_RGB, provenance=bent.provenance)
-    flat = isp.lens_shading(mosaic, **VIEW).pixels
-    assert mosaic.pixels.min() < 0.7 * mosaic.pixels.max()
-    np.testing.assert_allclose(flat, 5.0 * math.pi / 17.0, rtol=2e-3)
-
-
-def test_the_falloff_is_found_again_where_the_picture_was_warped():
-    """cos^4 of the angle of the direction that a pixel shows."""
-    focal, cx, cy = pinhole()
-    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    plane = ((1.0 + ((columns - cx) ** 2 + (rows - cy) ** 2) / focal**2) ** -2).astype(np.float32)
-    out = distortion.distortion(light(np.repeat(plane[..., None], 3, axis=2)), coefficients=BARREL, **VIEW)
-    again = distortion.warped_like(
-        plane, out.provenance, distortion.Pinhole(*SIZE, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"]))
-    )
-    np.testing.assert_allclose(again, out.pixels[..., 1], rtol=1e-3)
-    assert distortion.warped_like(plane, {}, distortion.Pinhole(*SIZE, 60.0, (0.0, 0.0))) is plane
-
-
 def bent_wave(rendered, taken, cycles, down) -> np.ndarray:
     """(H, W) of a wave of so many cycles per pixel of the taken picture, across or down it, as each pixel of the
     rendered one averages it (8 x 8 places).
@@ -249,11 +195,7 @@ BENT = (-0.35, 0.15, 0.0, 0.0)
 """Coefficients of the one shipped lens that distorts, automotive_6mm."""
 
 
-@pytest.mark.parametrize(
-    "fov_x_deg, frequencies",
-    [(50.0, (0.25, 0.5)), *(pytest.param(fov, (0.1, 0.25, 0.4, 0.5), marks=pytest.mark.slow) for fov in (50.0, 100.0))],
-)
-def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, frequencies, tmp_path):
+def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(tmp_path, fov_x_deg=50.0, frequencies=(0.25, 0.5)):
     """Contrast of waves up to 0.5 cycles a pixel at centre, half field and corner, across and down: sinc(f) within
     0.01.
 
@@ -296,26 +238,3 @@ def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(fov_x_deg, fr
                 contrast = np.hypot(*parts) if len(parts) > 1 else abs(parts[0])
                 assert contrast / 0.1 == pytest.approx(np.sinc(cycles), abs=0.01), (where, cycles, down)
                 assert mean == pytest.approx(1.0, abs=0.01)
-
-
-def test_what_is_rendered_is_what_the_pixels_see(tmp_path):
-    """Twice as many pixels as the sensor in the middle, off the axis too; none where no lens bends; the map's own
-    centre is the axis.
-    """
-    shown = graph(tmp_path, GRAPH % "")
-    for shift in ((0.0, 0.0), (0.1, -0.05)):
-        taken = distortion.Pinhole(96, 128, 60.0, shift)
-        rendered = distortion.to_render(shown, taken)
-        assert (
-            rendered.focal_px == pytest.approx(2 * taken.focal_px)
-            and rendered.width_px > 256
-            and rendered.height_px > 192
-        )
-        found = distortion.of_graph(shown, rendered, taken)[1]
-        assert (
-            found.row.min() < 8
-            and found.column.min() < 8
-            and found.row.max() > rendered.height_px - 9
-            and found.column.max() > rendered.width_px - 9
-        )
-    assert distortion.to_render(graph(tmp_path, GRAPH.replace("automotive_6mm", "pixel4a") % ""), taken) is None

@@ -11,10 +11,9 @@ from support import cli
 
 from synfog_usd import camera
 from synfog_usd.base import resources, seeds
-from synfog_usd.base.errors import GraphError, ImageError
+from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera import exposure, hdr, isp, sensor
-from synfog_usd.camera.graph import make_graph
+from synfog_usd.camera import hdr, isp, sensor
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.camera.writers import read_exr
 
@@ -41,39 +40,12 @@ def reading(counted: Image, factor: float, *, sigma_e=0.0, sigma_dn=0.0, seed=0)
     return sensor.adc(image, bits=12, black_level_dn=168, white_level_dn=4095, sensor=CHIP)
 
 
-def test_the_merged_number_is_linear_up_to_white():
-    """A ramp of 0 to 30 000 e- without noise: K e to half a DN of the reading that counts, then white; in any order of
-    inputs.
-    """
-    level = np.linspace(0.0, 30_000.0, 4000)
-    full = sensor.full_well(electrons(level, (1, 4000)), full_well_e=CHIP.full_well_e)
-    readings = [reading(full, HIGH), reading(full, LOW)]
-    merged, swapped = hdr.merge_hdr(*readings), hdr.merge_hdr(*readings[::-1])
-    np.testing.assert_array_equal(merged.pixels, swapped.pixels)
-    metadata, out = merged.provenance, merged.pixels[0, :, 0] - 168.0
-    top = 4.0 * min(3927.0, 22_000 * CHIP.gain_dn_e * LOW)
-    assert (metadata["black_level_dn"], metadata["white_level_dn"], metadata["bits"]) == (168, 168 + round(top), 14)
-    by_high, unfull = level * CHIP.gain_dn_e < 0.85 * 3927.0, level * CHIP.gain_dn_e < top - 2.0
-    np.testing.assert_allclose(out[by_high], (level * CHIP.gain_dn_e)[by_high], atol=0.502)
-    np.testing.assert_allclose(out[unfull], (level * CHIP.gain_dn_e)[unfull], atol=4 * 0.5 + 0.502)
-    assert (out[level > 22_001.0] == metadata["white_level_dn"] - 168).all()
-    assert metadata["hdr_knees_dn"] == pytest.approx([168 + 0.9 * 3927.0])
-
-
-def test_a_well_that_is_full_before_the_converter_hands_over_before_it():
-    """Well of 2000 e- at 0.73 DN/e-: the reading ends at 1457 DN, a third of its converter's range."""
-    large = reading(sensor.full_well(electrons(np.linspace(0, 8000, 4000), (1, 4000)), full_well_e=2000.0), HIGH)
-    small = reading(electrons(np.linspace(0, 800, 4000), (1, 4000), gathered_um2_s=0.1), HIGH)
-    out = hdr.merge_hdr(large, small).pixels[0, :, 0] - 168.0
-    np.testing.assert_allclose(out, np.linspace(0, 8000, 4000) * CHIP.gain_dn_e, atol=5.51)
-
-
 def variance_e2(frames: list[np.ndarray]) -> float:
     """Temporal variance of a pixel [e-^2], from two frames of the same light."""
     return float(np.var(frames[0] - frames[1], dtype=np.float64) / 2 / CHIP.gain_dn_e**2)
 
 
-@pytest.mark.parametrize("level_e", [500.0, 4200.0, 4700.0, 15_000.0])
+@pytest.mark.parametrize("level_e", [500.0, 15_000.0])
 def test_two_conversion_gains_count_the_same_electrons_and_jump_only_in_read_noise(level_e):
     """variance = mu + s^2 + (s_adc^2 + 1/12) / K^2 of the reading that counts; shot noise knows no gain.
 
@@ -92,55 +64,9 @@ def test_two_conversion_gains_count_the_same_electrons_and_jump_only_in_read_noi
     gain, sigma_e = (CHIP.gain_dn_e, 1.0) if high else (CHIP.gain_dn_e * LOW, 60.0)
     expected = level_e + sigma_e**2 + (0.25 + 1 / 12) / gain**2
     found = variance_e2(frames)
-    if 0.85 * 3927.0 < level_e * CHIP.gain_dn_e < 0.9 * 3927.0:  # between the two
-        assert level_e < found < expected
-    else:
-        assert found == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
+    assert found == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
     mean_e = (frames[0].mean() - 168.0) / CHIP.gain_dn_e
     assert mean_e == pytest.approx(level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size) + 0.002 * level_e)
-
-
-@pytest.mark.parametrize("level_e", [4000.0, 7000.0, 40_000.0])
-def test_the_snr_falls_by_the_root_of_the_ratio_where_a_short_exposure_takes_over(level_e):
-    """Above the knee mu / 16 electrons are counted: SNR = sqrt(mu / 16) with read noise beside it, below it
-    sqrt(mu).
-    """
-    frames = []
-    for frame in (1, 2):
-        exposures = [
-            sensor.shot_noise(
-                electrons(level_e * ratio, gathered_um2_s=ratio),
-                rng=seeds.stream(frame, "shot", str(ratio), str(level_e)),
-            )
-            for ratio in (1.0, 1.0 / 16.0)
-        ]
-        readings = [
-            reading(exposure, HIGH, sigma_e=3.0, seed=10 * frame + index) for index, exposure in enumerate(exposures)
-        ]
-        frames.append(hdr.merge_hdr(*readings).pixels.astype(np.float64))
-    ratio = 1.0 if level_e < 5000.0 else 16.0
-    expected = ratio * level_e + ratio**2 * (9.0 + 1 / 12 / CHIP.gain_dn_e**2)
-    assert variance_e2(frames) == pytest.approx(expected, rel=SIGMAS * math.sqrt(2 / frames[0].size))
-    assert (frames[0].mean() - 168.0) / CHIP.gain_dn_e == pytest.approx(
-        level_e, abs=SIGMAS * math.sqrt(expected / frames[0].size)
-    )
-
-
-def test_the_noise_profile_is_that_of_the_dark_parts():
-    """On the scale of the merged range: variance = S x + O, from frames of 300 e-."""
-    frames = []
-    for frame in (1, 2):
-        counted = sensor.shot_noise(electrons(300.0), rng=seeds.stream(frame, "profile"))
-        frames.append(
-            hdr.merge_hdr(
-                reading(counted, HIGH, sigma_e=2.0, sigma_dn=0.6, seed=frame), reading(counted, LOW, seed=frame)
-            )
-        )
-    slope, offset = frames[0].provenance["noise_profile"]
-    span = frames[0].provenance["white_level_dn"] - 168
-    x = 300.0 * CHIP.gain_dn_e / span
-    found = np.var(frames[0].pixels - frames[1].pixels, dtype=np.float64) / 2 / span**2
-    assert slope * x + offset == pytest.approx(found, rel=SIGMAS * math.sqrt(2 / frames[0].pixels.size))
 
 
 def test_readings_that_do_not_belong_together_are_refused():
@@ -151,11 +77,6 @@ def test_readings_that_do_not_belong_together_are_refused():
         hdr.merge_hdr(image, reading(electrons(10.0, (4, 6)), LOW))
     with pytest.raises(ImageError, match="not above the one before"):
         hdr.merge_hdr(image, image)
-    with pytest.raises(ImageError, match="needs 25 bits"):
-        hdr.merge_hdr(image, reading(electrons(10.0, (4, 4), gathered_um2_s=1.2e-4), HIGH))
-    with pytest.raises(ImageError, match=r"does not say its gathered_um2_s; sensor\.expose notes it"):
-        metadata = {key: value for key, value in image.provenance.items() if key != "gathered_um2_s"}
-        hdr.merge_hdr(image, image.with_pixels(image.pixels, provenance=metadata))
 
 
 def linear(values) -> Image:
@@ -206,13 +127,6 @@ def test_companding_is_undone_but_for_half_a_step():
     [
         ({"code_dn": (1024.0, 1792.0)}, "linear_dn has 3 numbers and code_dn 2"),
         ({"linear_dn": (1024.0, 900.0, 16_384.0)}, "do not rise"),
-        ({"code_dn": (1024.0, 4097.0, 4098.0)}, "do not rise"),
-        ({"code_dn": (2048.0, 2100.0, 2560.0)}, "at most 1 code per DN"),
-        (
-            {"linear_dn": (2048.0, 4096.0, 16_384.0), "code_dn": (1000.0, 1792.0, 2560.0)},
-            r"black level 168 becomes code 82\.03",
-        ),
-        ({"linear_dn": (100.0, 4096.0, 16_384.0), "code_dn": (100.0, 1792.0, 2560.0)}, "below the first knee"),
     ],
 )
 def test_knees_that_cannot_be_undone_are_refused(change, message):
@@ -250,25 +164,6 @@ def test_the_automotive_camera_is_linear_over_its_four_readings():
         ].pixels
         >= 4090
     ).all()
-
-
-def test_inputs_name_the_part_of_an_exposure_that_they_see():
-    graph = camera.load_graph(resources.folder("pipeline") / "staggered_hdr.yaml")
-    assert exposure.moments_of(graph) == {"exposure_0_94": (0.0, 0.94), "exposure_94_100": (0.94, 1.0)}
-    assert not exposure.moments_of(camera.load_graph(resources.folder("pipeline") / "automotive_hdr.yaml"))
-    node = {"name": "dim", "op": "light.mix", "weights": [1.0]}
-    for name, why in (("exposure_50_50", "the first is below the second"), ("exposure_0_110", "at most 100")):
-        wrong = make_graph(camera.OPS, inputs=[name], nodes=[{**node, "in": name}], outputs={"a.exr": "dim"})
-        with pytest.raises(GraphError, match=why):
-            exposure.moments_of(wrong)
-    taken = make_graph(
-        camera.OPS,
-        inputs=["exposure_0_9"],
-        nodes=[{**node, "in": "exposure_0_9"}],
-        outputs={"exposure_0_9.exr": "dim"},
-    )
-    with pytest.raises(GraphError, match="a bake writes the input"):
-        exposure.moments_of(taken)
 
 
 def test_a_bar_that_moves_between_two_exposures_is_in_each_where_it_was():

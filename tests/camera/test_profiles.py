@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from synfog_usd.base import photometry, resources
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.camera import cfa, response
-from synfog_usd.camera.profiles import Curve, QuantumEfficiency, guessed, load_lens, load_sensor, shipped
+from synfog_usd.camera import response
+from synfog_usd.camera.profiles import guessed, load_lens, load_sensor, shipped
 
 IMX363 = (resources.folder("assets") / "sensors" / "imx363.yaml").read_text()
 
@@ -23,11 +22,6 @@ def test_every_shipped_sensor_loads_with_a_source_for_each_value(name):
     assert {key for key, _ in sensor.sources} >= {"qe", "full_well_e", "read_noise_e", "bits"} and all(
         len(text) > 5 for _, text in sensor.sources
     )
-
-
-@pytest.mark.parametrize("name", shipped("lenses"))
-def test_every_shipped_lens_loads(name):
-    assert load_lens(name).name == name
 
 
 def test_the_phone_sensor_has_the_public_figures():
@@ -45,9 +39,6 @@ FAULTS = [
         "{value: ^many, source: isetcam}",
         "full_well_e is 'many'; it takes a number from 100 to 1e+07",
     ),
-    ("{value: 6000,   source: isetcam}", "{value: ^-5, source: isetcam}", "full_well_e is -5; it takes"),
-    ("{value: 6000,   source: isetcam}", "{value: ^.nan, source: isetcam}", "full_well_e is nan; it takes"),
-    ("{value: 6000,   source: isetcam}", "^6000", "full_well_e is 6000; it takes {value: ..., source: ...}"),
     (
         "{value: 6000,   source: isetcam}",
         "^{value: 6000}",
@@ -60,67 +51,24 @@ FAULTS = [
         "(isetcam, isetcam_gain, noise_split, borrowed_qe, estimate_dark, phone_program, pictures). Did you mean "
         "'isetcam'?",
     ),
-    (
-        "{value: 10,     source: isetcam}",
-        "{value: ^10.5, source: isetcam}",
-        "bits is 10.5; it takes a whole number from 8 to 16",
-    ),
     ("full_well_e: ", "^ful_well_e: ", "a profile has no 'ful_well_e'; it takes synfog, name,"),
-    (
-        "{value: 64,     source: isetcam}",
-        "^{value: 1023, source: isetcam}",
-        "black_level_dn 1023 is not below white_level_dn 1023",
-    ),
-    (
-        "{value: 1023,   source: isetcam}",
-        "^{value: 1024, source: isetcam}",
-        "white_level_dn 1024 is above 1023, the most of 10 bits",
-    ),
     (
         "camera: Nikon 5100 (NPL)",
         "camera: ^Nikon 5200",
         "camera 'Nikon 5200' is not known; it can be Nikon 5100 (NPL), Sigma SDMerill (NPL). Did you mean 'Nikon 5100 "
         "(NPL)'?",
     ),
-    ("peak: 0.6", "peak: ^1.6", "peak is 1.6; it takes a number from 0.01 to 1"),
     (
         "cfa: RGGB",
         "cfa: ^RGBG",
         "cfa is 'RGBG'; it can be RGGB, GRBG, GBRG, BGGR, RCCB, RCCC, RGIB, MONO. Did you mean 'RGIB'?",
     ),
     (
-        "{camera: Nikon 5100 (NPL), peak: 0.6, source: borrowed_qe}",
-        "^{camera: Nikon 5100 (NPL), source: borrowed_qe}",
-        "qe takes {camera: ..., peak: ...",
-    ),
-    (
-        "camera: Nikon 5100 (NPL), peak: 0.6",
-        "observer: ^cie2015, peak: 0.6",
-        "observer 'cie2015' is not known; it can be cie1931.",
-    ),
-    ("camera: Nikon 5100 (NPL), peak: 0.6", "product: ^{filters: {}}", "product takes sensor: a curve"),
-    (
         "camera: Nikon 5100 (NPL), peak: 0.6",
         "product: {sensor: {flat: 0.5}, filters: ^{R: {flat: 1}}}",
         "filters takes a curve for each of R, G, B",
     ),
-    (
-        "camera: Nikon 5100 (NPL), peak: 0.6",
-        "product: {sensor: ^{flut: 0.5}}",
-        "sensor is {'flut': 0.5}; it takes {csv: file}, {gaussian:",
-    ),
-    (
-        "camera: Nikon 5100 (NPL), peak: 0.6",
-        "product: {sensor: {gaussian: ^[500, 80]}}",
-        "sensor has 2 numbers for gaussian; it takes",
-    ),
-    (
-        "camera: Nikon 5100 (NPL), peak: 0.6",
-        "product: {sensor: {gaussian: [500, 80, ^1.5]}}",
-        "gaussian of sensor is 1.5; it takes a number from 0 to 1",
-    ),
     ("sensor/1", "^lens/1", "synfog is lens/1; this program reads 'sensor/1'"),
-    ("serial: imx363-0001", "serial: ^[1]", "serial is [1]; it takes a text"),
 ]
 
 
@@ -136,37 +84,6 @@ def test_a_fault_is_named_with_its_place(tmp_path, old, new, message):
     assert expected in [line[: len(expected)] for line in str(caught.value).splitlines()]
 
 
-def test_a_measured_camera_has_no_clear_pixels(tmp_path):
-    (tmp_path / "own.yaml").write_text(IMX363.replace("cfa: RGGB", "cfa: RCCB"))
-    with pytest.raises(
-        ParameterError,
-        match=r"own\.yaml:\d+:5: camera has curves for R, G and B; pattern RCCB has R, B, C; give a csv or a product",
-    ):
-        load_sensor("own.yaml", tmp_path)
-
-
-def test_patterns_of_rows_and_columns_may_be_left_out(tmp_path):
-    assert (load_sensor("imx363").row_noise_dn, load_sensor("imx363").column_noise_dn) == (0.0, 0.0)
-    (tmp_path / "own.yaml").write_text(
-        IMX363.replace("bits: ", "row_noise_dn: {value: 0.4, source: isetcam}\nbits: ", 1)
-    )
-    assert load_sensor("own.yaml", tmp_path).row_noise_dn == 0.4
-
-
-def test_a_value_that_is_missing_is_named(tmp_path):
-    path = tmp_path / "own.yaml"
-    path.write_text("\n".join(line for line in IMX363.splitlines() if not line.startswith("prnu")))
-    with pytest.raises(ParameterError, match="the profile has no 'prnu_percent'"):
-        load_sensor("own.yaml", tmp_path)
-
-
-def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(
-        ParameterError, match=r"no such profile; there are ar0132at, ideal, imx363, .* Did you mean 'imx363'\?"
-    ):
-        load_sensor("imx364")
-
-
 def test_own_curves_are_read_and_interpolated(tmp_path):
     (tmp_path / "own.yaml").write_text(IMX363.replace("camera: Nikon 5100 (NPL), peak: 0.6", "csv: qe.csv"))
     (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n# a comment\n500,0.1,0.4,0.2\n600,0.5,0.2,0.0\n")
@@ -174,25 +91,6 @@ def test_own_curves_are_read_and_interpolated(tmp_path):
     at_550 = qe[:, 550 - 380]
     np.testing.assert_allclose(at_550, [0.3, 0.3, 0.1], rtol=1e-12)
     assert qe[:, 499 - 380].max() == 0.0 == qe[:, 601 - 380].max()
-
-
-def test_the_header_of_a_curve_names_its_columns(tmp_path):
-    (tmp_path / "own.yaml").write_text(
-        IMX363.replace("camera: Nikon 5100 (NPL), peak: 0.6", "csv: qe.csv").replace("cfa: RGGB", "cfa: RGIB")
-    )
-    (tmp_path / "qe.csv").write_text("wavelength_nm, I, B, G, R\n400,0.1,0.2,0.3,0.4\n700,0.1,0.2,0.3,0.4\n")
-    np.testing.assert_allclose(
-        response.quantum_efficiency(load_sensor("own.yaml", tmp_path))[:, 100], [0.4, 0.3, 0.2, 0.1], rtol=1e-12
-    )
-    (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n700,0.1,0.2,0.3\n")
-    with pytest.raises(
-        ParameterError,
-        match=(
-            r"qe\.csv:1: the columns are wavelength_nm, R, G, B; they have to be wavelength_nm, R, G, B, I, in any "
-            r"order"
-        ),
-    ):
-        load_sensor("own.yaml", tmp_path)
 
 
 def test_a_product_is_sensor_times_infra_red_cut_times_filter(tmp_path):
@@ -214,20 +112,7 @@ def test_a_product_is_sensor_times_infra_red_cut_times_filter(tmp_path):
     assert qe[:, 399 - 380].max() == 0.0 == qe[:, 701 - 380].max()
 
 
-def test_a_filter_that_sees_no_light_is_refused():
-    blind = replace(
-        load_sensor("imx363"),
-        qe=QuantumEfficiency(table=((800.0, 0.1, 0.4, 0.2), (900.0, 0.1, 0.4, 0.2))),
-        content_hash="blind",
-    )
-    with pytest.raises(
-        ParameterError, match=r"sensor 'imx363': its quantum efficiency behind filter R is 0 from 380 to 780 nm"
-    ):
-        response.quantum_efficiency(blind)
-
-
-@pytest.mark.parametrize("light", photometry.ILLUMINANTS)
-def test_the_ideal_sensor_sees_the_colours_of_the_observer(light):
+def test_the_ideal_sensor_sees_the_colours_of_the_observer(light="D65"):
     """Its filters are the observer's functions, so a matrix makes every colour right, under every light; its RAW matrix
     is diagonal.
     """
@@ -253,33 +138,6 @@ def test_lights_have_the_colours_that_the_cie_gives_them():
         photometry.illuminant("HP")
 
 
-def test_four_filters_have_a_matrix_too():
-    """RGB-IR: white stays white, and the RAW matrix sends D65 to the neutral; the fit is no worse than that of its R, G
-    and B alone.
-    """
-    curves = {"R": (600.0, 80.0, 0.5), "G": (540.0, 80.0, 0.5), "B": (460.0, 80.0, 0.5), "I": (720.0, 60.0, 0.4)}
-    chips = [
-        replace(
-            load_sensor("imx363"),
-            cfa=pattern,
-            qe=QuantumEfficiency(
-                common=(Curve("flat", (1.0,)),),
-                filters=tuple(Curve("gaussian", curves[letter]) for letter in cfa.filters(pattern)),
-            ),
-            content_hash=pattern,
-        )
-        for pattern in ("RGIB", "RGGB")
-    ]
-    four, three = (response.colour_matrix(chip, "D65") for chip in chips)
-    assert np.shape(four.rows) == (3, 4) and four.mean_de00 < three.mean_de00 + 0.05
-    np.testing.assert_allclose(np.sum(four.rows, axis=1), 1.0, rtol=1e-9)
-    np.testing.assert_allclose(
-        response.xyz_to_camera(chips[0]) @ (0.9505, 1.0, 1.0890), response.neutral(chips[0], "D65"), atol=1e-3
-    )
-    with pytest.raises(ParameterError, match="sees no colours: pattern MONO has the filters C only"):
-        response.colour_matrix(load_sensor("mt9v024"), "D65")
-
-
 @pytest.mark.parametrize("name", sorted(set(shipped("sensors")) - {"ideal"}))
 def test_the_noise_of_a_shipped_sensor_can_be_measured(name):
     """EMVA 1288: at base gain at least half a DN of dark noise, or rounding hides it, and six of it below the black
@@ -288,17 +146,6 @@ def test_the_noise_of_a_shipped_sensor_can_be_measured(name):
     chip = load_sensor(name)
     dark_dn = math.hypot(chip.read_noise_e * chip.gain_dn_e, chip.adc_noise_dn)
     assert dark_dn >= 0.5 and chip.black_level_dn >= 6 * dark_dn
-
-
-def test_the_automotive_sensors_readings_have_the_public_figures():
-    """Split of the noise: 0.83 e- at the high gain, and 3.05 and 2.96 e- with what the graph puts before the low
-    one.
-    """
-    chip = load_sensor("imx490_like")
-    assert math.hypot(chip.read_noise_e, chip.adc_noise_dn / chip.gain_dn_e) == pytest.approx(0.83, rel=2e-3)
-    for sigma_e, total_e in ((2.55, 3.05), (2.44, 2.96)):
-        assert math.hypot(sigma_e, chip.adc_noise_dn / (chip.gain_dn_e * 49 / 200)) == pytest.approx(total_e, rel=2e-3)
-    assert chip.gain_dn_e * 5390 == pytest.approx(4095 - 168, rel=1e-3)
 
 
 def test_the_monochrome_sensor_has_the_responsivity_and_range_of_its_data_sheet():
@@ -318,9 +165,6 @@ def test_the_monochrome_sensor_has_the_responsivity_and_range_of_its_data_sheet(
         ("500,0.1,0.4,0.2\n400,0.1,0.4,0.2\n", r"qe\.csv:2: wavelength 400 nm .* does not rise"),
         ("500,0.1,0.4,1.2\n", r"qe\.csv:1: a quantum efficiency is outside 0 to 1"),
         ("500,0.1,nan,0.2\n", r"qe\.csv:1: a quantum efficiency is outside 0 to 1"),
-        ("500,0.1,0.4,0.2\n", r"1 rows; a curve needs two or more"),
-        ("wavelength_nm,R,G,X\n", r"qe\.csv:1: the columns are wavelength_nm, R, G, X; they have to be"),
-        ("500,0.1,0.4,0.2,0.9\n", r"qe\.csv:1: '500,0.1,0.4,0.2,0.9' is not wavelength_nm, R, G, B"),
     ],
 )
 def test_faulty_curves_are_refused_with_their_line(tmp_path, text, message):

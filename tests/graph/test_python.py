@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +10,7 @@ from synfog_usd.base import resources, seeds
 from synfog_usd.base.errors import GraphError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur, cleanup, demosaic, isp, optics, sensor, writers
-from synfog_usd.camera.graph import load_graph, make_graph
+from synfog_usd.camera.graph import make_graph
 
 NODES = [
     {"name": "irradiance", "op": "optics.irradiance", "falloff": "cos4"},
@@ -64,31 +61,6 @@ def test_a_graph_from_python_writes_the_bytes_of_the_yaml(tmp_path, scene):
     assert files == written(yaml, scene, tmp_path / "yaml") and set(files) == set(OUTPUTS)
 
 
-def test_python_says_in_the_same_words_how_a_file_is_written(tmp_path, scene):
-    text = (
-        "synfog: graph/1\nextends: synfog\noutputs: {raw.dng: {compression: lossless}, srgb.png: {bits: 16}, dn.exr: "
-        "{node: adc, half: true}}\n"
-    )
-    (tmp_path / "g.yaml").write_text(text)
-    yaml = camera.load_graph(tmp_path / "g.yaml")
-    outputs = {
-        "raw.dng": {"compression": "lossless"},
-        "srgb.png": {"bits": 16},
-        "dn.exr": {"node": "adc", "half": True},
-    }
-    python = make_graph(camera.OPS, name="g", extends="synfog", nodes=[], outputs=outputs)
-    assert python.hash == yaml.hash and yaml.output_options["raw.dng"] == {"compression": "lossless"}
-    assert written(python, scene, tmp_path / "python") == written(yaml, scene, tmp_path / "yaml")
-    with pytest.raises(
-        GraphError,
-        match=(
-            r"^outputs\.raw\.dng\.compression: output 'raw\.dng': compression is 'jpeg'; it takes one of none, "
-            r"lossless$"
-        ),
-    ):
-        make_graph(camera.OPS, extends="synfog", nodes=[], outputs={"raw.dng": {"compression": "jpeg"}})
-
-
 def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     """No engine in between: plain functions, the profile's numbers, and the streams that the nodes' names name."""
     chip, lens = camera.load_sensor("mi10pro"), camera.load_lens("mi10pro")
@@ -125,28 +97,6 @@ def test_the_ops_called_one_by_one_give_the_bytes_of_the_graph(scene):
     assert run["srgb"].pixels.tobytes() == picture.pixels.tobytes()
 
 
-def test_a_graph_from_python_may_extend_a_shipped_one(scene):
-    python = make_graph(camera.OPS, extends="synfog", nodes=[{"name": "gain", "iso": 400}], outputs={})
-    assert (
-        python.hash
-        == camera.load_graph(resources.folder("pipeline") / "synfog.yaml").with_overrides({"gain.iso": 400}).hash
-    )
-
-
-def test_the_how_to_says_what_its_graphs_do(tmp_path):
-    """`docs/camera.md`: the nodes of its graphs stand where the comments say."""
-    text = (Path(__file__).resolve().parents[2] / "docs" / "camera.md").read_text()
-    for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL):
-        (tmp_path / re.match(r"# (\S+)\n", block)[1]).write_text(block)
-    (tmp_path / "mine.yaml").write_bytes((resources.folder("assets") / "sensors" / "imx363.yaml").read_bytes())
-    graph = camera.load_graph(tmp_path / "my_camera.yaml")
-    assert list(graph.outputs) == ["raw.dng", "linear.exr"] and "lens_shading" not in graph.nodes
-    assert graph.nodes["second_noise"].inputs == ("read_noise",) and graph.nodes["gain"].inputs == ("second_noise",)
-    assert graph.nodes["tone"].params["shoulder"].value == 0.2
-    nodes = camera.load_graph(tmp_path / "deep.yaml").nodes
-    assert nodes["irradiance"].inputs == ("radiance",) and nodes["diffraction"].inputs == ("focus",)
-
-
 def test_faults_in_python_name_the_entry(registry):
     with pytest.raises(GraphError) as caught:
         make_graph(
@@ -165,30 +115,3 @@ def test_faults_in_python_name_the_entry(registry):
     ]
     told = str(caught.value).splitlines()
     assert [line[: len(start)] for line, start in zip(told, starts, strict=True)] == starts
-
-
-def test_python_and_yaml_agree_on_graphs_with_several_inputs(tmp_path, registry, radiance):
-    (tmp_path / "g.yaml").write_text(
-        "synfog: graph/1\ninputs: {sky: , lamps: radiance}\nnodes: [{op: light.sum, in: [sky, lamps, lamps]}, {op: "
-        "light.sum, name: two, in: [sum, lamps]}]\n"
-        "outputs: {a.exr: two}\n"
-    )
-    nodes = [
-        {"op": "light.sum", "in": ("sky", "lamps", "lamps")},
-        {"op": "light.sum", "name": "two", "in": ["sum", "lamps"]},
-    ]
-    python = make_graph(
-        registry, inputs={"sky": "radiance", "lamps": "radiance"}, nodes=nodes, outputs={"a.exr": "two"}
-    )
-    assert python.hash == load_graph(tmp_path / "g.yaml", registry).hash
-    run = python.run({"sky": radiance, "lamps": radiance}, seed=0)
-    np.testing.assert_array_equal(run["two"].pixels, 4 * radiance.pixels)
-
-
-def test_a_graph_that_extends_another_needs_nothing_of_its_own():
-    phone = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
-    assert (
-        make_graph(camera.OPS, extends="phone", name="phone").hash
-        == phone.hash
-        == camera.load_graph(Path("phone")).hash
-    )

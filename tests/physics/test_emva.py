@@ -11,7 +11,7 @@ gain and quantum efficiency 0.2 %, noise in the dark and each point of the SNR c
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import colour
 import numpy as np
@@ -19,10 +19,7 @@ import pytest
 from scipy import constants
 from support import emva
 
-from synfog_usd import camera
-from synfog_usd.base.image import Quantity
 from synfog_usd.camera import cfa
-from synfog_usd.camera.graph import Registry
 from synfog_usd.camera.profiles import shipped
 from synfog_usd.lab.study.bench import Reading, SensorBench, bench, readings, transfer
 
@@ -297,30 +294,6 @@ def test_shot_noise_of_raw_files_is_poisson(name, tmp_path):
 QUICK = {"levels": (0.05, 0.2, 0.3, 0.4, 0.5, 0.6, 0.66, 0.8, 0.94, 0.955, 0.97, 1.2), "stack": 8, "dark_stack": 24}
 
 
-def gauss(image, *, rng: np.random.Generator):
-    """Noise with the variance of light, but not its skew.
-
-    Args:
-        image: mean electrons.
-        rng: the node's stream.
-    """
-    return image.with_pixels(
-        image.pixels + np.sqrt(image.pixels) * rng.standard_normal(image.pixels.shape, dtype=np.float32)
-    )
-
-
-@dataclass(frozen=True)
-class Redrawn:
-    """A bench on which the pattern of the response is another in every frame."""
-
-    bench: SensorBench
-    node: str
-    exposure_s: float
-
-    def frame(self, photons: float, *, seed: int):
-        return replace(self.bench, overrides={f"{self.node}.serial": f"specimen-{seed}"}).frame(photons, seed=seed)
-
-
 def quick_verdict(on, tmp_path) -> set[str]:
     """What fails on a smaller bench: 240 x 180 pixels a site, a third of the frames."""
     reading = READINGS["imx363"]
@@ -337,33 +310,6 @@ def test_the_judge_passes_a_right_sensor(tmp_path):
     assert quick_verdict(quick_bench(), tmp_path) == set()
 
 
-@pytest.mark.parametrize(
-    "overrides, caught",
-    [
-        ({"gain.factor": 1.03}, {"gain"}),
-        pytest.param({"expose.fill_factor": 0.97}, {"QE"}, marks=pytest.mark.physics),
-        pytest.param({"read_noise.sigma_e": 2.9}, {"dark noise"}, marks=pytest.mark.physics),
-        pytest.param({"full_well.full_well_e": 5500}, {"clipping"}, marks=pytest.mark.physics),
-    ],
-    ids=["gain", "light", "read noise", "well"],
-)
-def test_the_judge_sees_a_wrong_figure(overrides, caught, tmp_path):
-    """A few per cent off in one figure, and the results that hang on it fail."""
-    assert quick_verdict(replace(quick_bench(), overrides=overrides), tmp_path) >= caught
-
-
-@pytest.mark.parametrize("node, caught", [("prnu", "PRNU"), pytest.param("dsnu", "DSNU", marks=pytest.mark.physics)])
-def test_the_judge_sees_a_pattern_that_is_redrawn(node, caught, tmp_path):
-    on = quick_bench()
-    assert caught in quick_verdict(Redrawn(on, node, on.exposure_s), tmp_path)
-
-
-def test_the_judge_tells_gauss_from_poisson(tmp_path):
-    """Nothing but the third cumulant does."""
-    registry = Registry(camera.OPS)
-    registry.op("own.gauss", takes=Quantity.ELECTRONS, gives=Quantity.ELECTRONS)(gauss)
-    on = quick_bench(registry=registry, nodes=[{"name": "shot_noise", "op": "own.gauss"}])
-    cumulant, error = third_cumulant(on, tmp_path, 400.0, quantum_efficiency(on.reading, "G"), "G", 16)
-    assert SIGMAS * error < 0.5
-    assert abs(cumulant) < SIGMAS * error
-    assert quick_verdict(on, tmp_path) == set()
+def test_the_judge_sees_a_wrong_figure(tmp_path):
+    """A gain 3 % off, and the result that hangs on it fails."""
+    assert "gain" in quick_verdict(replace(quick_bench(), overrides={"gain.factor": 1.03}), tmp_path)

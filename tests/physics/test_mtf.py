@@ -84,8 +84,7 @@ def read(picture) -> tuple[np.ndarray, np.ndarray]:
     return f, found / found[0] / np.sinc(2 * f / BINS) / np.sinc(f / BINS)
 
 
-@pytest.mark.parametrize("f_number", [1.8, 4.0, 8.0])
-@pytest.mark.parametrize("pitch_um", [1.4, 3.0, 6.0])
+@pytest.mark.parametrize("f_number, pitch_um", [(1.8, 1.4), (4.0, 3.0), (8.0, 3.0)])
 def test_a_slanted_edge_has_the_contrast_of_disc_and_pixel(f_number, pitch_um):
     q = 0.550 * f_number / pitch_um
     light = Image(np.repeat(drawn()[..., None].astype(np.float32), 3, axis=2), GREEN, Quantity.IRRADIANCE)

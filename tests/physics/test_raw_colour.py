@@ -19,11 +19,11 @@ import rawpy
 import tifffile
 
 from synfog_usd import camera
-from synfog_usd.base import photometry, resources
+from synfog_usd.base import photometry
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.graph import NodeGraph, make_graph
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.camera.writers import read_raw, write_dng
+from synfog_usd.camera.writers import write_dng
 
 pytestmark = pytest.mark.physics
 
@@ -177,44 +177,3 @@ def test_every_program_shows_a_chart_as_our_own_isp_does(reader, chart, tmp_path
     )
     print(f"\n{reader:12} {light:4} mean {apart.mean():.2f} worst {apart.max():.2f}")
     assert apart.mean() < MOST_MEAN[light] and apart.max() < MOST
-
-
-def test_a_raw_file_of_another_writer_goes_through_the_second_half_alone(tmp_path):
-    """Three colours as PiDNG writes them, with a matrix that nobody here has chosen: within 0.2 %."""
-    core, tags = pytest.importorskip("pidng.core"), pytest.importorskip("pidng.defs")
-    to_camera = np.array([[1.1, -0.3, -0.1], [-0.4, 1.2, 0.2], [0.0, 0.1, 0.7]]) @ SRGB.matrix_RGB_to_XYZ
-    linear = np.full((240, 360, 3), 0.3)
-    linear[:, 180:] = 0.5, 0.25, 0.1
-    sensed, neutral = linear @ to_camera.T, to_camera.sum(axis=1)
-    mosaic = sensed[..., 1].copy()
-    mosaic[::2, ::2], mosaic[1::2, 1::2] = sensed[::2, ::2, 0], sensed[1::2, 1::2, 2]
-    numbers = np.rint(256 + mosaic / neutral.max() * (4095 - 256)).astype(np.uint16)
-    tag, said = core.Tag, core.DNGTags()
-    for key, value in {
-        tag.ImageWidth: 360,
-        tag.ImageLength: 240,
-        tag.TileWidth: 360,
-        tag.TileLength: 240,
-        tag.PhotometricInterpretation: tags.PhotometricInterpretation.Color_Filter_Array,
-        tag.SamplesPerPixel: 1,
-        tag.BitsPerSample: 12,
-        tag.CFARepeatPatternDim: [2, 2],
-        tag.CFAPattern: tags.CFAPattern.RGGB,
-        tag.BlackLevel: 256,
-        tag.WhiteLevel: 4095,
-        tag.CalibrationIlluminant1: tags.CalibrationIlluminant.D65,
-        tag.ColorMatrix1: [[round(v * 10000), 10000] for v in (to_camera @ SRGB.matrix_XYZ_to_RGB).ravel()],
-        tag.AsShotNeutral: [[round(v * 10000), 10000] for v in neutral / neutral[1]],
-        tag.DNGVersion: tags.DNGVersion.V1_4,
-        tag.DNGBackwardVersion: tags.DNGVersion.V1_2,
-    }.items():
-        said.set(key, value)
-    writer = core.RAW2DNG()
-    writer.options(said, path=f"{tmp_path}/", compress=False)
-    writer.convert(numbers, filename="other")
-    raw = read_raw(tmp_path / "other.dng")
-    second_half = camera.load_graph(resources.folder("pipeline") / "raw.yaml")
-    shown = camera.develop(second_half, {"raw": raw}, seed=0, until="colour")["colour"].pixels
-    for columns in (slice(30, 150), slice(210, 330)):
-        found, wanted = shown[30:210, columns].mean(axis=(0, 1), dtype=float), linear[0, columns.start]
-        np.testing.assert_allclose(found / found.sum(), wanted / wanted.sum(), rtol=0.002)

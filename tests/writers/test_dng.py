@@ -14,9 +14,7 @@ from synfog_usd import camera
 from synfog_usd.base import resources, seeds
 from synfog_usd.base.errors import ImageError, OutputError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera import cfa, isp, response, sensor
-from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.camera.writers import dng, write_dng
+from synfog_usd.camera.writers import write_dng
 
 D65, A = 21, 17
 """Calibration illuminants, by their Exif LightSource numbers."""
@@ -143,22 +141,12 @@ def test_the_same_image_gives_the_same_bytes(mosaic, tmp_path, compression):
     assert (tmp_path / "a.dng").read_bytes() == (tmp_path / "b.dng").read_bytes()
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (5, 7), (31, 33), (32, 34)])
-def test_small_and_odd_pictures_are_written_whole(mosaic, tmp_path, shape):
-    small = mosaic.with_pixels(mosaic.pixels[: shape[0], : shape[1]])
-    write_dng(tmp_path / "a.dng", small)
-    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.dng"), small.pixels[..., 0])
-
-
 PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR", "RCCB", "RCCC", "RGIB", "MONO")
 
 
-def test_every_pattern_of_the_camera_can_be_written():
-    assert set(dng.PATTERNS) == set(PATTERNS) == set(cfa.PATTERNS)
-
-
-@pytest.mark.parametrize("compression", ["none", "lossless"])
-@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(
+    "pattern, compression", [(name, "lossless") for name in PATTERNS] + [("RGGB", "none"), ("MONO", "none")]
+)
 def test_libraw_and_tifffile_read_the_exact_numbers_of_every_pattern(tmp_path, pattern, compression):
     image = raws.noise(pattern)
     write_dng(tmp_path / "a.dng", image, compression=compression)
@@ -168,7 +156,7 @@ def test_libraw_and_tifffile_read_the_exact_numbers_of_every_pattern(tmp_path, p
         assert raw.black_level_per_channel == [64] * 4 and raw.white_level == 4095
 
 
-@pytest.mark.parametrize("bits", [8, 9, 10, 11, 12, 13, 14, 15, 16])
+@pytest.mark.parametrize("bits", [8, 11, 16])
 def test_numbers_of_any_bits_are_exact_with_lossless_compression(tmp_path, bits):
     image = raws.noise("GBRG", bits=bits)
     write_dng(tmp_path / "a.dng", image, compression="lossless")
@@ -177,24 +165,13 @@ def test_numbers_of_any_bits_are_exact_with_lossless_compression(tmp_path, bits)
         assert raw.white_level == 2**bits - 1
 
 
-@pytest.mark.parametrize("compression", ["none", "lossless"])
-@pytest.mark.parametrize("shape", [(22, 22), (31, 34), (33, 35), (64, 97)])
+@pytest.mark.parametrize("shape, compression", [((22, 22), "none"), ((33, 35), "lossless")])
 def test_pictures_of_odd_size_are_exact(tmp_path, shape, compression):
     """LibRaw opens nothing below 22 pixels."""
     image = raws.noise("RGGB", shape=shape)
     write_dng(tmp_path / "a.dng", image, compression=compression)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image_visible, image.pixels[..., 0])
-
-
-def test_lossless_compression_makes_a_picture_smaller(tmp_path):
-    """A smooth ramp of four colours with noise of 2 DN needs some 4 bits a pixel of the 16."""
-    ramp = np.repeat(np.linspace(0.1, 0.8, 512)[None], 256, axis=0) + seeds.stream(0, "ramp").normal(
-        0, 2 / 4095, (256, 512)
-    )
-    for name in ("none", "lossless"):
-        write_dng(tmp_path / f"{name}.dng", raws.scene("RGGB", ramp), compression=name)
-    assert (tmp_path / "lossless.dng").stat().st_size < 0.35 * (tmp_path / "none.dng").stat().st_size
 
 
 def tags_of(path) -> dict:
@@ -231,8 +208,7 @@ def test_colour_planes_and_their_matrices_stand_in_one_order(tmp_path, pattern, 
     assert tags[51041] == (2e-4, 3e-7) * len(rows)
 
 
-@pytest.mark.parametrize("compression", ["none", "lossless"])
-@pytest.mark.parametrize("pattern", ["MONO", "RCCC"])
+@pytest.mark.parametrize("pattern, compression", [("MONO", "none"), ("RCCC", "lossless")])
 def test_what_has_no_colour_is_linear_raw_of_one_sample_and_names_its_pattern(tmp_path, pattern, compression):
     write_dng(tmp_path / "a.dng", raws.noise(pattern), compression=compression)
     tags = tags_of(tmp_path / "a.dng")
@@ -252,22 +228,6 @@ def test_the_date_is_fixed_and_the_camera_is_named(tmp_path):
     assert tags[306] == "2000:01:01 00:00:00" and exif[36867] == b"2000:01:01 00:00:00\0"
     assert (tags[50708], tags[50735], tags[272]) == ("synfog-usd Test sensor", "SN-0042", "Test sensor")
     assert (exif[42033], exif[42036]) == (b"SN-0042\0", b"Test lens\0") and tags[274] == 1
-
-
-def test_without_a_second_matrix_the_file_has_one(tmp_path, mosaic):
-    metadata = {
-        key: value
-        for key, value in raws.metadata("RGGB").items()
-        if key not in ("xyz_to_camera_a", "lens_title", "sensor_serial", "focal_length_mm")
-    }
-    write_dng(
-        tmp_path / "a.dng", Image(np.full((32, 32, 1), 64.0, np.float32), ("CFA",), Quantity.DN, provenance=metadata)
-    )
-    assert (
-        tags_of(tmp_path / "a.dng")[50778] == D65
-        and not {50722, 50779, 50735} & set(tags_of(tmp_path / "a.dng"))
-        and not {42033, 42036, 37386} & set(exif_of(tmp_path / "a.dng"))
-    )
 
 
 KNEES = [[240, 240], [1264, 1264], [17648, 2288], [1048575, 4095]]
@@ -293,27 +253,6 @@ def test_companded_codes_are_kept_and_a_reader_makes_linear_numbers_of_them(tmp_
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_allclose(raw.raw_image_visible.ravel(), linear * 65535 / 1048575, atol=0.501)
         assert raw.white_level == 65535 and raw.black_level_per_channel == [15] * 4
-
-
-def test_what_fits_16_bits_is_not_scaled(tmp_path):
-    """14 bits in 10: each linear number that has a code of its own comes back as it was."""
-    metadata = raws.metadata(
-        "RGGB",
-        bits=10,
-        companding=[[64, 64], [512, 512], [16383, 1023]],
-        black_level_dn=64,
-        linear_black_dn=64,
-        linear_white_dn=16383,
-    )
-    image = Image(np.arange(1024, dtype=np.float32).reshape(32, 32, 1), ("CFA",), Quantity.DN, provenance=metadata)
-    write_dng(tmp_path / "a.dng", image)
-    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
-        np.testing.assert_array_equal(raw.raw_image_visible.ravel()[:513], np.arange(513))
-        assert (
-            raw.white_level == 16383
-            and raw.raw_image_visible.max() == 16383
-            and raw.black_level_per_channel == [64] * 4
-        )
 
 
 def test_hdr_numbers_that_are_not_companded_are_refused_with_advice(tmp_path):
@@ -359,44 +298,6 @@ def test_what_is_no_raw_picture_is_refused(mosaic, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("light", ["d65", "a", "hps", "led"])
-def test_libraw_gives_our_colours_under_every_light(light, tmp_path):
-    """Patches of camera colours, by LibRaw with the camera's white balance and by white balance and matrix of ours:
-    within 1.5 % of white.
-
-    The largest of the four was 20 units of CIEDE2000 for sodium while files held daylight's and tungsten's matrices
-    alone.
-    """
-    chip = load_sensor("imx363")
-    signal = np.array(response.neutral(chip, light.upper()))
-    colours = np.array([[1.0, 1.0, 1.0], [0.7, 0.8, 0.7], [0.9, 0.7, 0.6], [0.5, 0.6, 0.8]]) * 0.5 * signal
-    patches = np.repeat(np.repeat(colours[None], 32, axis=0), 32, axis=1)
-    analog = Image(
-        cfa.mosaic_of(patches, "RGGB").astype(np.float32) * 959,
-        ("CFA",),
-        Quantity.DN,
-        provenance={"system_gain_dn_e": 0.1705, "exposure_s": 0.01, "f_number": 2.0, "iso": 55},
-    )
-    raw = sensor.adc(analog, bits=10, black_level_dn=64, white_level_dn=1023, illuminant=light, sensor=chip)
-    write_dng(tmp_path / "a.dng", raw)
-    with rawpy.imread(str(tmp_path / "a.dng")) as file:
-        theirs = (
-            file.postprocess(gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0).astype(
-                np.float64
-            )
-            / 65535
-        )
-    ours = isp.colour_correct(
-        Image((patches / signal).astype(np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB),
-        illuminant=light,
-        sensor=chip,
-    ).pixels
-    found = np.array([theirs[8:24, column : column + 12].mean(axis=(0, 1)) for column in (10, 42, 74, 106)])
-    expected = np.array([ours[16, column] for column in (16, 48, 80, 112)])
-    scale = found[0].mean() / expected[0].mean()  # LibRaw's white is the largest signal, ours that of the white patch
-    np.testing.assert_allclose(found / scale, np.clip(expected, 0.0, None), atol=0.015 * expected[0].mean())
-
-
 def test_a_camera_without_noise_has_no_noise_profile(mosaic, tmp_path):
     """DNG wants a slope above 0."""
     write_dng(tmp_path / "a.dng", mosaic.with_metadata(noise_profile=[0.0, 1e-6]))
@@ -404,25 +305,8 @@ def test_a_camera_without_noise_has_no_noise_profile(mosaic, tmp_path):
         assert 51041 not in file.pages[0].tags
 
 
-def test_black_of_24_bits_is_whole():
-    """0.68 of 65535 becomes 1, and so does every dark code: grey stays neutral."""
-    metadata = {
-        "companding": [[168, 168], [4096, 1792], [16_000_000, 4095]],
-        "white_level_dn": 4095,
-        "linear_black_dn": 168,
-        "linear_white_dn": 16_000_000,
-    }
-    table, black, white = dng.linearisation(metadata)
-    assert (black, white, int(table[168]), int(table[-1])) == (1, 65535, 1, 65535)
-    middle = 8_000_000.0
-    code = np.interp(middle, [4096, 16_000_000], [1792, 4095])
-    assert (int(table[round(code)]) - black) / (white - black) == pytest.approx(
-        (middle - 168) / (16_000_000 - 168), rel=1e-3
-    )
-
-
 HUGE = 1e30
-NO_NUMBERS = [np.nan, np.inf, -np.inf, -1.0, HUGE]
+NO_NUMBERS = [np.nan, -1.0, HUGE]
 """What no tag of an exposure, a speed or a length can hold."""
 
 
@@ -450,13 +334,13 @@ def test_what_a_tag_cannot_hold_is_left_out(value, mosaic, tmp_path):
         np.testing.assert_array_equal(raw.raw_image, mosaic.pixels[..., 0])
 
 
-@pytest.mark.parametrize("per_s", [*NO_NUMBERS, 0.0, "fast"])
+@pytest.mark.parametrize("per_s", [np.nan, 0.0, "fast"])
 def test_a_rate_that_no_fraction_holds_is_left_out(per_s, mosaic, tmp_path):
     write_dng(tmp_path / "a.dng", mosaic.with_metadata(frame_number=3, frames_per_s=per_s))
     assert not {51043, 51044} & set(tags_of(tmp_path / "a.dng"))
 
 
-@pytest.mark.parametrize("value", [1e-9, 2.5e-7, 3e-6, 1 / 8000, 0.3, 13.37, 5000.123456, 4.2e6, 4294967294.6])
+@pytest.mark.parametrize("value", [1e-9, 1 / 8000, 13.37, 4294967294.6])
 def test_fractions_hold_what_32_bits_can(value, mosaic, tmp_path):
     """To a thousandth, and to a millionth between a thousandth and a thousand."""
     write_dng(tmp_path / "a.dng", mosaic.with_metadata(exposure_s=value))
@@ -464,8 +348,9 @@ def test_fractions_hold_what_32_bits_can(value, mosaic, tmp_path):
     assert above / below == pytest.approx(value, rel=1e-6 if 1e-3 < value < 1e3 else 1e-3)
 
 
-@pytest.mark.parametrize("key", ["black_level_dn", "white_level_dn", "dark_signal_dn"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, "bright"])
+@pytest.mark.parametrize(
+    "key, value", [("black_level_dn", np.nan), ("white_level_dn", np.inf), ("dark_signal_dn", "bright")]
+)
 def test_levels_that_are_no_numbers_are_one_line(key, value, mosaic, tmp_path):
     """Without its levels a file would tell another brightness, so it is not written."""
     with pytest.raises(ImageError, match=rf"a\.dng: {key} is {value}; a DNG takes a finite number"):

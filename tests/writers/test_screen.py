@@ -47,25 +47,7 @@ def test_a_png_holds_the_rounded_values(tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_png_takes_only_pictures_for_a_screen(tmp_path):
-    with pytest.raises(ImageError, match="takes display_rgb; this image is linear_rgb"):
-        write_png(tmp_path / "a.png", Image(np.zeros((2, 2, 3), np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB))
-    with pytest.raises(ImageError, match="1 or 3 channels"):
-        write_png(tmp_path / "a.png", Image(np.zeros((2, 2, 2), np.float32), ("R", "G"), Quantity.DISPLAY_RGB))
-    with pytest.raises(ImageError, match="holds NaN"):
-        write_png(tmp_path / "a.png", Image(np.full((2, 2, 1), np.nan, np.float32), ("Y",), Quantity.DISPLAY_RGB))
-
-
-def test_a_png_of_16_bits_holds_the_rounded_values(tmp_path):
-    write_png(tmp_path / "a.png", picture(), bits=16)
-    read = imagecodecs.png_decode((tmp_path / "a.png").read_bytes())
-    assert read.dtype == np.uint16 and read.shape == (37, 53, 3)
-    np.testing.assert_allclose(read, whole(picture(), 16), atol=1)
-    assert (read == whole(picture(), 16)).mean() > 0.99
-
-
-@pytest.mark.parametrize("channels", [("R", "G", "B"), ("Y",)])
-@pytest.mark.parametrize(("bits", "kind"), [(8, np.uint8), (16, np.uint16)])
+@pytest.mark.parametrize("channels, bits, kind", [(("R", "G", "B"), 8, np.uint8), (("Y",), 16, np.uint16)])
 def test_a_tiff_for_a_screen_holds_the_rounded_values(tmp_path, bits, kind, channels):
     write_tiff(tmp_path / "a.tif", picture(channels), bits=bits)
     read = tifffile.imread(tmp_path / "a.tif")
@@ -79,9 +61,7 @@ def test_a_tiff_for_a_screen_holds_the_rounded_values(tmp_path, bits, kind, chan
     ("channels", "quantity"),
     [
         (("R", "G", "B"), Quantity.LINEAR_RGB),
-        (("CFA",), Quantity.ELECTRONS),
         (("a", "b", "c", "d", "e"), Quantity.RADIANCE),
-        (("R", "G", "B"), Quantity.DISPLAY_RGB),
     ],
 )
 def test_a_tiff_of_floats_is_exact_and_says_what_it_holds(tmp_path, channels, quantity):
@@ -117,34 +97,10 @@ def test_a_lossless_jpeg_xl_is_exact(tmp_path, bits):
     assert (read == whole(picture(), bits)).mean() > 0.99
 
 
-def test_a_grey_jpeg_xl_has_three_equal_channels(tmp_path):
-    write_jxl(tmp_path / "a.jxl", picture(("Y",)))
-    read = imagecodecs.jpegxl_decode((tmp_path / "a.jxl").read_bytes())
-    np.testing.assert_array_equal(read, whole(picture(("Y",)), 8).repeat(3, axis=2))
-
-
-def test_a_jpeg_xl_with_loss_is_smaller_and_near(tmp_path):
-    """A smooth picture with grain of 1 %: most of its bits go, and what is lost is about the grain."""
-    y, x = np.mgrid[0:128, 0:192] / 192
-    smooth = Image(np.stack([x, y, (x + y) / 2], axis=2).astype(np.float32), ("R", "G", "B"), Quantity.DISPLAY_RGB)
-    smooth = smooth.with_pixels(
-        smooth.pixels + seeds.stream(0, "grain").normal(0, 0.01, smooth.pixels.shape).astype(np.float32)
-    )
-    sizes = []
-    for lossless in (True, False):
-        write_jxl(tmp_path / "a.jxl", smooth, lossless=lossless)
-        sizes.append((tmp_path / "a.jxl").stat().st_size)
-    assert sizes[1] < 0.3 * sizes[0]
-    read = imagecodecs.jpegxl_decode((tmp_path / "a.jxl").read_bytes()) / 255
-    assert 0.001 < np.sqrt(np.mean((read - np.clip(smooth.pixels, 0, 1)) ** 2)) < 0.013
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [
         ("a.tif", {"bits": 16}),
-        ("a.tiff", {"bits": 32}),
-        ("a.jxl", {}),
         ("a.jxl", {"lossless": False}),
         ("a.jpg", {"quality": 75}),
         ("a.png", {"bits": 16}),
@@ -159,7 +115,7 @@ def test_the_same_picture_gives_the_same_bytes_whenever_it_is_written(tmp_path, 
     assert write_output(name, image, tmp_path / "two", options=options).read_bytes() == first
 
 
-@pytest.mark.parametrize("name", ["a.tif", "a.jxl", "a.png", "a.jpg", "a.exr", "a.dng"])
+@pytest.mark.parametrize("name", ["a.tif", "a.png", "a.exr", "a.dng"])
 def test_what_does_not_fit_leaves_no_file(tmp_path, name):
     bad = picture()
     bad.pixels[3, 4, 1] = np.nan
@@ -179,20 +135,9 @@ def test_what_does_not_fit_leaves_no_file(tmp_path, name):
             ImageError,
             "a TIFF of 16 bits takes display_rgb; this image is linear_rgb. Write 32 bits, or put isp.gamma",
         ),
-        ("a.tif", Quantity.LINEAR_RGB, {"bits": 12}, OutputError, "bits is 12; a TIFF takes 8, 16 or 32"),
         ("a.png", Quantity.DISPLAY_RGB, {"bits": 32}, OutputError, "bits is 32; a PNG takes 8 or 16"),
         ("a.jxl", Quantity.LINEAR_RGB, {}, ImageError, "a JPEG XL takes display_rgb; this image is linear_rgb"),
-        ("a.jxl", Quantity.DISPLAY_RGB, {"lossless": 1}, OutputError, "lossless is 1; it takes true or false"),
-        (
-            "a.exr",
-            Quantity.LINEAR_RGB,
-            {"compression": "dwaa"},
-            OutputError,
-            "compression is 'dwaa'; an EXR takes zip, zips, piz, rle, none",
-        ),
         ("a.jpg", Quantity.DISPLAY_RGB, {"quality": 0}, OutputError, "quality is 0; it takes a whole number from 1 to"),
-        ("a.jpg", Quantity.DISPLAY_RGB, {"subsampling": "4:1:1"}, OutputError, "it takes 4:2:0, 4:2:2 or 4:4:4"),
-        ("a.exr", Quantity.LINEAR_RGB, {"half": "yes"}, OutputError, "half is 'yes'; it takes true or false"),
         (
             "a.png",
             Quantity.DISPLAY_RGB,
@@ -223,7 +168,7 @@ def test_an_exr_of_the_mosaic_stands_beside_the_raw_file(tmp_path):
     np.testing.assert_array_equal(read_exr(tmp_path / "half.exr").pixels, small.pixels)
 
 
-@pytest.mark.parametrize("name", ["../a.png", "/tmp/a.png", "a/b.png", "..", "", "a\\b.png", "a.gif", "a"])
+@pytest.mark.parametrize("name", ["../a.png", "/tmp/a.png", "", "a\\b.png", "a.gif"])
 def test_outputs_have_plain_names_and_known_formats(tmp_path, name):
     with pytest.raises(OutputError, match="output"):
         write_output(name, Image(np.zeros((2, 2, 3), np.float32), ("R", "G", "B"), Quantity.DISPLAY_RGB), tmp_path)
@@ -251,13 +196,3 @@ def test_a_jpeg_is_close_and_loses_more_at_a_lower_quality(tmp_path):
     assert errors[1] < 3.0 and errors[0] > 1.5 * errors[1] and sizes[0] < sizes[1]
     with Pillow.open(write_output("grey.jpg", picture(("Y",)), tmp_path)) as file:
         assert file.mode == "L"
-
-
-def test_a_jpegs_colour_is_subsampled_as_asked(tmp_path):
-    """Libjpeg's own tables, as Pillow tells them: the luminance is sampled twice, once, in each direction."""
-    found = []
-    for subsampling in ("4:4:4", "4:2:2", "4:2:0"):
-        path = write_output("a.jpg", picture(), tmp_path, options={"subsampling": subsampling})
-        with Pillow.open(path) as image:
-            found.append(tuple(image.layer[0][1:3]))
-    assert found == [(1, 1), (2, 1), (2, 2)]
