@@ -429,6 +429,10 @@ def compose(
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
     change: options.Changes = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length of a clip in which traffic and people move [s]; 0 for a still.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames of the clip a second, 10 if left out.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
 ) -> None:
     """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
@@ -436,7 +440,7 @@ def compose(
 
     from synfog_usd.world.compose import compose as draw
 
-    spec = draw(recipe, out, seed=seed, change=change or [])
+    spec = draw(recipe, out, seed=seed, change=change or [], seconds=seconds, fps=fps)
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return

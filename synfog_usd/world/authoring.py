@@ -15,7 +15,7 @@ from synfog_usd.world import skies
 from synfog_usd.world.components import label
 from synfog_usd.world.library import model
 from synfog_usd.world.shapes import Array, shift, turn
-from synfog_usd.world.spec import Placement, SkyDome, View, WorldSpec
+from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre
 EGO, RIG = "/World/Ego", "/World/Rig"
@@ -65,12 +65,15 @@ def author_rig(stage: Usd.Stage, spec: WorldSpec) -> None:
     if not spec.rig:
         return
     UsdGeom.Xform.Define(stage, "/World/Rig")
-    view = spec.view
-    car = shift(view.x, view.y, view.z) @ turn(view.heading) @ turn(view.tilt - 90.0, "x")
     for one in spec.rig:
         camera = _camera(stage, f"{RIG}/{one.name}", one.focal_length)
-        place = car @ shift(one.right, one.ahead) @ turn(one.yaw) @ turn(90.0, "x")
-        camera.AddTransformOp().Set(Gf.Matrix4d(np.round(place.T, 6).tolist()))
+        camera.AddTransformOp().Set(Gf.Matrix4d(np.round(rig_place(spec.view, one).T, 6).tolist()))
+
+
+def rig_place(view: View, one: RigCamera) -> Array:
+    """(4, 4) from a camera of the rig to the stage, for the ego's view."""
+    car = shift(view.x, view.y, view.z) @ turn(view.heading) @ turn(view.tilt - 90.0, "x")
+    return np.asarray(car @ shift(one.right, one.ahead) @ turn(one.yaw) @ turn(90.0, "x"))
 
 
 def author_fog(stage: Usd.Stage) -> None:

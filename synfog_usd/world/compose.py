@@ -8,13 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pxr import Sdf
+
 from synfog_usd.base import resources, values
 from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.seeds import stream
 from synfog_usd.world import parameters
 from synfog_usd.world.departments import write_layers
 from synfog_usd.world.language import Recipe, load_root
 from synfog_usd.world.roads import crossing_recipe, recipe, roundabout_recipe, stage
 from synfog_usd.world.spec import WorldSpec
+from synfog_usd.world.traffic import motion, write
 
 DRAWS: Mapping[str, Callable[..., WorldSpec]] = {
     "crossroads": crossing_recipe.draw,
@@ -22,6 +26,8 @@ DRAWS: Mapping[str, Callable[..., WorldSpec]] = {
     "roundabout": roundabout_recipe.draw,
 }
 """World -> what draws one of a recipe."""
+HEADWAY_S = 0.9
+"""Least time between bumpers in the streets of a crossing, whose recipes name none [s]."""
 
 
 def load(path: Path, changes: Sequence[str] = ()) -> Recipe:
@@ -53,8 +59,13 @@ def compose(
     *,
     seed: int = 0,
     change: Mapping[str, Any] | Sequence[str] = (),
+    seconds: float | None = None,
+    fps: float | None = None,
 ) -> WorldSpec:
     """Draw a world and write it as a stage: the file, and a layer for each department beside it.
+
+    With `seconds` it is a clip: vehicles follow their lanes, people walk, and the camera goes with its car, by time
+    samples at the frames 0 to `seconds` times `fps`.  Frame 0 is what the stage is without them.
 
     References to the shipped assets are relative where the file lies in the folder that
     holds them, so that the folder can move, and absolute elsewhere.
@@ -64,9 +75,11 @@ def compose(
         path: the stage, .usda, .usdc or .usd.
         seed: the same gives the same bytes in the same place.
         change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
+        seconds: of the clip [s], 0 to 120; None for what the recipe's `time` says, and 0 for a still.
+        fps: frames a second, 1 to 240; None for what the recipe's `time` says.
 
     Returns:
-        what was drawn, all numbers.
+        what was drawn, all numbers; of a clip at frame 0.
 
     Raises:
         SynfogError: with its place; or the stage cannot be written.
@@ -76,10 +89,43 @@ def compose(
         change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    spec = draw(load(values.path_of(recipe, "recipe"), change), seed=seed)
+    times = [
+        f"time.{name}={json.dumps(given)}" for name, given in (("seconds", seconds), ("fps", fps)) if given is not None
+    ]
+    found = load(values.path_of(recipe, "recipe"), [*change, *times])
+    spec = draw(found, seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
-    write_layers(out, lambda place: stage.author(place, spec, assets=assets))
+    clip = clip_of(found, spec, seed=seed)
+
+    def author(place: Path) -> Sdf.Layer:
+        layer = stage.author(place, spec, assets=assets)
+        if clip:
+            write.author(layer, spec, clip)
+        return layer
+
+    write_layers(out, author)
     return spec
+
+
+def clip_of(found: Recipe, spec: WorldSpec, *, seed: int) -> motion.Clip | None:
+    """What moves in a world that was drawn of a recipe with a seed, or None where the recipe's `time` asks for a still.
+
+    Raises:
+        RecipeError: the camera's car would leave the drawn road.
+    """
+
+    def value(name: str) -> Any:
+        return found.distributions[name](stream(seed, "recipe", name), hour=hour)
+
+    hour = 12.0
+    if "traffic.hour" in found.distributions:
+        hour = float(value("traffic.hour"))
+    frames = round(value("time.seconds") * value("time.fps"))
+    if not frames:
+        return None
+    headway = value("traffic.headway_s") if "traffic.headway_s" in found.distributions else HEADWAY_S
+    pace = motion.Pace(value("traffic.speed_kmh") / 3.6, headway, seed)
+    return motion.clip_of(spec, pace, frames=frames, fps=value("time.fps"))
 
 
 def asset_folder(stage_folder: Path, assets: Path) -> str:

@@ -18,6 +18,8 @@ from synfog_usd.base.files import write_whole
 
 WORLD = Sdf.Path("/World")
 METADATA = ("defaultPrim", "metersPerUnit", "upAxis")
+TIMES = ("startTimeCode", "endTimeCode", "timeCodesPerSecond", "framesPerSecond")
+"""Of a clip; layers whose time codes last differently would be stretched."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,8 @@ def _split(layer: Sdf.Layer) -> Iterator[tuple[Department, Sdf.Layer]]:
     for department in DEPARTMENTS:
         part = Sdf.Layer.CreateAnonymous(f"{department.name}.usda")
         for key in METADATA:
+            part.pseudoRoot.SetInfo(key, layer.pseudoRoot.GetInfo(key))
+        for key in filter(layer.pseudoRoot.HasInfo, TIMES):
             part.pseudoRoot.SetInfo(key, layer.pseudoRoot.GetInfo(key))
         part.documentation = f"{department.name.capitalize()}: {layer.documentation}"
         world = Sdf.CreatePrimInLayer(part, WORLD)

@@ -119,6 +119,10 @@ EGO: dict[str, Parameter] = {
     "camera.baseline_m": Continuous(0.05, 1.0, 0.3, "distance of the right eye of a stereo rig [m]"),
     "camera.fov_x_deg": Continuous(20.0, 100.0, 55.1, "horizontal angle of view [degrees]"),
 }
+TIME: dict[str, Parameter] = {
+    "time.seconds": Continuous(0.0, 120.0, 0.0, "of a clip, in which traffic and people move [s]; 0 for a still"),
+    "time.fps": Continuous(1.0, 240.0, 10.0, "its frames a second"),
+}
 RULES: dict[str, Parameter] = {
     "rules.users": Continuous(0, 50, 5, "least number of road users", whole=True),
     "rules.in_view": Continuous(0, 20, 3, "least number of them in view", whole=True),
@@ -160,6 +164,7 @@ ROAD: dict[str, Parameter] = {
     "camera.lane": Continuous(0, 5, 0, "its lane, counted from the right", whole=True),
     **EGO,
     **RULES,
+    **TIME,
 }
 ROUNDABOUT: dict[str, Parameter] = {
     "circle.diameter_m": Continuous(26.0, 60.0, 36.0, "of the inscribed circle [m]"),
@@ -191,6 +196,7 @@ ROUNDABOUT: dict[str, Parameter] = {
     **SKY,
     **EGO,
     **RULES,
+    **TIME,
 }
 CARS, CROSSING_PEOPLE = (
     tuple(CAR),
@@ -219,6 +225,7 @@ CROSSROADS: dict[str, Parameter] = {
     "sky.dusk_nits": Continuous(0.1, 200.0, 5.0, "luminance of `dusk` at the zenith [cd m-2]"),
     "camera.height_m": Continuous(1.0, 2.5, 1.45, "height of the lens over the road [m]"),
     "camera.fov_x_deg": EGO["camera.fov_x_deg"],
+    **TIME,
 }
 
 SIDES = ("left", "right", "both", "alternate")

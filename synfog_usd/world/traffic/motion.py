@@ -1,0 +1,324 @@
+"""A clip of a drawn street: where everything that moves is at each frame.
+
+Takes a street in numbers and how fast its traffic goes; gives tracks, frame by frame.  Frame 0 is the street as it was
+drawn.  Knows nothing of USD.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synfog_usd.base.arrays import Array, Flags, Indices
+from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.seeds import stream
+from synfog_usd.world.roads import rules
+from synfog_usd.world.roads.crossing import Crossing
+from synfog_usd.world.roads.stage import KINDS
+from synfog_usd.world.roads.traffic import OWN_CAR_M
+from synfog_usd.world.spec import Placement, Site, WorldSpec
+from synfog_usd.world.traffic import walk
+from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Vehicle, drive, eased
+from synfog_usd.world.traffic.idm import Driver
+from synfog_usd.world.traffic.paths import Path, Route, footways, routes
+
+OWN_WIDTH_M = 1.9
+PEDALS_M_S = (3.8, 5.2)
+"""Speed of cyclists."""
+SLOWS = 0.75
+"""Who brakes where nothing asks for it goes on at this share of the speed."""
+BESIDE_LANE_M, RIDES_M = 0.3, 1.0
+"""By which a vehicle, or who rides, may be off the lane that it is in."""
+TURNED = math.radians(40.0)
+BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
+"""Brake lights are on below this acceleration, and go on when one stops."""
+BLINKS_HZ = 1.5
+NEAR_M = 60.0
+"""Farther from all lanes and people things are in nobody's way."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How traffic goes.
+
+    Attributes:
+        speed_m_s: of who neither waits nor brakes.
+        headway_s: least time between bumpers.
+        seed: of routes, and of how people walk.
+    """
+
+    speed_m_s: float
+    headway_s: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where one thing is: (F,) by frames.
+
+    Attributes:
+        x, y, z: of its origin [m].
+        heading, pitch, roll: degrees as a `Placement` has them, headings without jumps of a turn.
+        speed: [m/s]; travel: way since frame 0 [m]; bend: of its path [1/m], positive to the left.
+        brakes: whether brake lights are on; blinks: 1 where the left indicator is lit, -1 the right one, 0 neither.
+        shown: whether it is within the drawn road.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    heading: Array
+    pitch: Array
+    roll: Array
+    speed: Array
+    travel: Array
+    bend: Array
+    brakes: Flags
+    blinks: Indices
+    shown: Flags
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is anywhere else than at frame 0."""
+        return bool(np.abs(self.travel).max() > 1e-4)
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A street over time.
+
+    Attributes:
+        fps: frames a second.
+        codes: (F,) frames, from -1 to one behind the last: so that shutters open before the first and close after it.
+        tracks: what moves, by its number in `WorldSpec.placed`.
+        ego: the lens.
+    """
+
+    fps: float
+    codes: Array
+    tracks: Mapping[int, Track]
+    ego: Track
+
+
+def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
+    """Let a street go on for some frames.
+
+    Args:
+        spec: the street at frame 0.
+        pace: of its traffic.
+        frames: how many, from 0.
+        fps: of them a second.
+
+    Raises:
+        RecipeError: the camera's car would leave the drawn road.
+    """
+    codes = np.arange(-1.0, frames + 1.0)
+    t = codes / fps
+    ways = routes(spec.road, _main_waits(spec))
+    who, vehicles = _vehicles(spec, ways, pace)
+    walkers = _walkers(spec)
+    steps = np.arange(0.0, t[-1] + LOOK_S + 2 * STEP_S, STEP_S)
+    move = {*walkers, *who, *(rider for rider, _ in _ridden(spec))}
+    still = [p for i, p in enumerate(spec.placed) if i not in move and _in_the_way(p)]
+    fixed = [rules.footprint(p) for p in still]
+    places = walk.plan(list(walkers.values()), footways(spec.road), [*fixed, *_posts(spec)], steps, pace.seed)
+    outline = np.concatenate([_outline(corners) for corners in fixed]) if fixed else np.zeros((0, 2))
+    vehicles = [_settled(one, ways[one.route].path, outline, one.v0 * float(t[-1]) + 10.0) for one in vehicles]
+    street = Street(ways, vehicles, places[..., :2], outline, Driver(pace.headway_s, 1.5))
+    run = drive(street, float(t[-1]) + STEP_S)
+    tracks: dict[int, Track] = {}
+    for number, index in enumerate(who):
+        lit = spec.placed[index].lit.get("lamps") if index >= 0 else None
+        tracks[index] = _driven(spec, street, run, number, t, lit == "brake", index)
+    for column, index in enumerate(walkers):
+        tracks[index] = _walked(spec, places[:, column], steps, t, spec.placed[index])
+    ego = tracks.pop(-1)
+    if not ego.shown.all():
+        raise RecipeError(
+            f"--seconds {frames / fps:g}: the camera's car leaves the drawn road at frame "
+            f"{int(codes[np.argmin(ego.shown)])}; ask for fewer, or raise road.length_m or arms.length_m"
+        )
+    for index, bicycle in _ridden(spec):
+        if bicycle in tracks:
+            tracks[index] = tracks[bicycle]
+    return Clip(fps, codes, {index: track for index, track in tracks.items() if track.moves}, ego)
+
+
+# -- who there is
+
+
+def _main_waits(spec: WorldSpec) -> bool:
+    """Whether the signals of a crossing's main street are at red."""
+    return any(p.variants.get("signal") == "red" and abs(p.x) < abs(p.y) for p in spec.placed)
+
+
+def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[int], list[Vehicle]]:
+    """Numbers of who is in a lane, -1 of the camera's car, and how each begins."""
+    view = spec.view
+    behind, before = OWN_CAR_M
+    own = _in_lane(ways, view.x, view.y, view.heading - view.yaw, 0.5, stream(pace.seed, "traffic", "route", "ego"))
+    if own is None:
+        raise RecipeError("the camera is in no lane, so that nothing can be put in motion around it")
+    found = [Vehicle(*own, before, behind, OWN_WIDTH_M, pace.speed_m_s, pace.speed_m_s)]
+    who = [-1]
+    ridden = {bicycle for _, bicycle in _ridden(spec)}
+    for index, p in enumerate(spec.placed):
+        model = rules.model(p.asset)
+        if p.group != "Vehicles" or (model.label == "bicycle" and index not in ridden):
+            continue
+        rng = stream(pace.seed, "traffic", "route", p.name)
+        rides = model.label in ("rider", "bicycle", "motorcycle")
+        lane = _in_lane(ways, p.x, p.y, p.heading, RIDES_M if rides else BESIDE_LANE_M, rng)
+        if lane is None:
+            continue
+        pedals = p.asset in ("cyclist", "bicycle")
+        speed = float(rng.uniform(*PEDALS_M_S)) if pedals else pace.speed_m_s
+        v = speed if p.speed_m_s is None else p.speed_m_s
+        v0 = speed * (SLOWS if p.lit.get("lamps") == "brake" and p.speed_m_s is None else 1.0)
+        x0, y0, x1, y1 = rules.foot(p.asset)
+        found.append(Vehicle(*lane, y1, -y0, x1 - x0, v, max(v0, 1.0)))
+        who.append(index)
+    return who, found
+
+
+def _in_lane(
+    ways: Sequence[Route], x: float, y: float, heading: float, beside: float, rng: np.random.Generator
+) -> tuple[int, float, float, float] | None:
+    """Route, station, offset [m] and turn [rad] of who is at a place; one of those that begin alike is drawn."""
+    found = []
+    for number, route in enumerate(ways):
+        s, aside = (float(v) for v in route.path.nearest(np.array([x, y])))
+        turn = math.remainder(math.radians(heading) - float(route.path.at(s)[2]), 2 * math.pi)
+        if abs(aside) < route.path.width / 2 + beside and abs(turn) < TURNED:
+            found.append((number, s, aside, turn))
+    if not found:
+        return None
+    least = min(abs(aside) for _, _, aside, _ in found)
+    alike = [one for one in found if abs(one[2]) < least + 0.3]
+    return alike[int(rng.integers(len(alike)))]
+
+
+def _ridden(spec: WorldSpec) -> list[tuple[int, int]]:
+    """Numbers of each rider and of the bicycle below, where these are two."""
+    bicycles = {(p.x, p.y): i for i, p in enumerate(spec.placed) if p.asset == "bicycle"}
+    return [(i, bicycles[p.x, p.y]) for i, p in enumerate(spec.placed) if p.asset == "rider" and (p.x, p.y) in bicycles]
+
+
+def _walkers(spec: WorldSpec) -> dict[int, walk.Walker]:
+    return {
+        i: walk.Walker(p.name, p.x, p.y, math.radians(p.heading), rules.foot(p.asset), walk.SPEED_M_S[p.asset])
+        for i, p in enumerate(spec.placed)
+        if p.group == "People" and p.asset in walk.SPEED_M_S
+    }
+
+
+def _in_the_way(p: Placement) -> bool:
+    """Whether one has to go round a thing: not the ground, nor what hangs or lies."""
+    return p.group != "Ground" and p.asset != "fallen_leaf"
+
+
+def _posts(spec: WorldSpec) -> list[Array]:
+    """Outlines of what stands in numbers without being placed one by one: bollards."""
+    low_x, low_y, high_x, high_y = rules.foot("bollard")
+    corners = np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)])
+    return [
+        corners + point[:2]
+        for many in KINDS[type(spec.road)].instanced(spec, spec.road)
+        if many.asset == "bollard"
+        for point in many.points
+    ]
+
+
+def _outline(corners: Array) -> Array:
+    """(N, 2) points along the edges of a (4, 2) outline, half a metre apart at most."""
+    sides = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        share = np.linspace(0.0, 1.0, max(2, math.ceil(float(np.hypot(*(b - a))) / 0.5) + 1))[:-1, None]
+        sides.append(a + share * (b - a))
+    return np.concatenate(sides)
+
+
+def _settled(one: Vehicle, path: Path, fixed: Array, reach_m: float) -> Vehicle:
+    """With the offset that it drifts to."""
+    return replace(one, until=eased(path, one, fixed, reach_m))
+
+
+# -- where they are
+
+
+def ground(site: Site, x: Array, y: Array) -> Array:
+    """Height of the ground [m] at places."""
+    if isinstance(site, Crossing):
+        return np.array([site.height(float(a), float(b)) for a, b in zip(x, y, strict=True)])
+    return np.asarray(site.height(x, y), dtype=np.float64)
+
+
+def _slopes(site: Site, x: Array, y: Array, heading: Array) -> tuple[Array, Array]:
+    """Pitch and roll [degrees] of what stands at places and looks to headings [rad], over a metre each way."""
+    angles = []
+    for right, ahead in ((0.0, 0.5), (0.5, 0.0)):
+        dx, dy = right * np.cos(heading) - ahead * np.sin(heading), right * np.sin(heading) + ahead * np.cos(heading)
+        angles.append(np.degrees(np.arctan(ground(site, x + dx, y + dy) - ground(site, x - dx, y - dy))))
+    return angles[0], -angles[1]
+
+
+def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, brakes: bool, index: int) -> Track:
+    """The track of a vehicle; it begins exactly where it was drawn."""
+    one = street.vehicles[number]
+    route = street.routes[one.route]
+    s, v, a = (column[:, number] for column in run.at(t))
+    x, y, h = one.place(route.path, s)
+    z = ground(spec.road, x, y)
+    pitch, roll = _slopes(spec.road, x, y, h)
+    p: Any = spec.view if index < 0 else spec.placed[index]
+    if index < 0:
+        z, pitch, roll = z + p.z - z[1], pitch - pitch[1], roll * 0.0
+    elif rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
+        roll = roll * 0.0
+    heading = np.degrees(np.unwrap(h))
+    heading += (p.heading if index >= 0 else p.heading - p.yaw) - heading[1]
+    lights, on = [], brakes
+    for frame in range(len(t)):
+        if frame > 1:
+            on = bool(a[frame] < BRAKES_M_S2 or (v[frame] < STANDS_M_S and (on or v[frame - 1] >= STANDS_M_S)))
+        lights.append(on)
+    side = np.zeros(len(t), dtype=np.int64)
+    for begin, end, way in route.turns:
+        side[(s > begin) & (s < end)] = way
+    travel = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]  # not along the middle of the lane
+    return Track(
+        *(column + (was - column[1]) for column, was in ((x, p.x), (y, p.y), (z, p.z))),
+        heading,
+        *(column if index < 0 else column + was - column[1] for column, was in _tilts(p, pitch, roll)),
+        np.gradient(travel, t),
+        travel - travel[1],
+        np.interp(s, route.path.s, route.path.curvature),
+        np.array(lights),
+        np.where((t * BLINKS_HZ) % 1.0 >= 0.5, side, 0),
+        s + one.ahead < route.path.length - 0.5,
+    )
+
+
+def _tilts(p: Any, pitch: Array, roll: Array) -> tuple[tuple[Array, float], tuple[Array, float]]:
+    """Pitch and roll with those that were drawn."""
+    return (pitch, getattr(p, "pitch", 0.0)), (roll, getattr(p, "roll", 0.0))
+
+
+def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement) -> Track:
+    """The track of one who walks; on kerbs the feet go up and down over half a metre."""
+    first = places[:1] - (places[1:2] - places[:1]) * (-t[0] / STEP_S)
+    rows, at = np.concatenate([first, places]), np.r_[t[0], steps]
+    x, y, heading, travel = (np.interp(t, at, column) for column in rows.T)
+    dx, dy = -np.sin(heading), np.cos(heading)
+    z = np.mean([ground(spec.road, x + d * dx, y + d * dy) for d in (-0.25, -0.12, 0.0, 0.12, 0.25)], axis=0)
+    heading = np.degrees(heading)
+    none = np.zeros(len(t))
+    speed = np.gradient(travel, t)
+    return Track(
+        *(column + (was - column[1]) for column, was in ((x, p.x), (y, p.y), (z, p.z), (heading, p.heading))),
+        none, none, speed, travel, none, none > 0, none.astype(np.int64), none == 0,
+    )  # fmt: skip

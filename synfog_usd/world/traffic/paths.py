@@ -1,0 +1,281 @@
+"""Where one drives and walks: lines with a heading and a bend at each station, for every road and junction.
+
+Takes the record of a road or junction; gives its lanes as routes and its pavements as paths.  Knows nothing of who is
+on them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, spatial
+
+from synfog_usd.base.arrays import Array
+from synfog_usd.world.roads import crossing
+from synfog_usd.world.roads.crossing import Crossing
+from synfog_usd.world.roads.crossing_actors import STOP, STOP_SIDE
+from synfog_usd.world.roads.network import Road
+from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
+
+STEP_M = 0.5
+SIDEWAYS = 2.9
+"""Acceleration at which drivers take bends [m/s2]: 0.3 g."""
+EASING = 1.5
+"""Deceleration before bends [m/s2]."""
+ROUNDED_M = 4.0
+"""Over which a driver turns the wheel where a straight meets an arc."""
+AT_LINE_M = 0.5
+"""Between a bumper and the line that it waits at."""
+ZEBRA_LINE_M = 2.9
+"""From the middle of a zebra to where bumpers wait."""
+FOOTWAY_X, FOOTWAY_Y = 8.0, 6.6
+"""Middles of the pavements of the crossing's main and side street [m]."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """A line in the plane.
+
+    Attributes:
+        points: (N, 2) [m], about STEP_M apart.
+        width: of the strip around it that is free [m].
+    """
+
+    points: Array
+    width: float
+
+    @cached_property
+    def s(self) -> Array:
+        """(N,) stations [m]."""
+        return np.r_[0.0, np.cumsum(np.hypot(*np.diff(self.points, axis=0).T))]
+
+    @cached_property
+    def heading(self) -> Array:
+        """(N,) direction [rad], counter-clockwise from +Y, without jumps of a turn."""
+        d = np.gradient(self.points, self.s, axis=0)
+        return np.unwrap(np.arctan2(-d[:, 0], d[:, 1]))
+
+    @cached_property
+    def curvature(self) -> Array:
+        """(N,) turn per length [1/m], positive to the left."""
+        return np.gradient(self.heading, self.s)
+
+    @cached_property
+    def limit(self) -> Array:
+        """(N,) speed [m/s] at which the bends here and ahead can be taken at SIDEWAYS, braking at EASING."""
+        square = SIDEWAYS / np.maximum(np.abs(self.curvature), 1e-6)
+        ahead = square + 2.0 * EASING * self.s  # the least from here on, seen from here
+        return np.sqrt(np.minimum.accumulate(ahead[::-1])[::-1] - 2.0 * EASING * self.s)
+
+    @cached_property
+    def _tree(self) -> spatial.cKDTree:
+        return spatial.cKDTree(self.points)
+
+    @property
+    def length(self) -> float:
+        """[m]."""
+        return float(self.s[-1])
+
+    def at(self, s: npt.ArrayLike, aside: npt.ArrayLike = 0.0) -> tuple[Array, Array, Array]:
+        """x, y [m] and heading [rad] at stations, `aside` [m] to the right; straight on beyond the ends."""
+        s = np.asarray(s, dtype=np.float64)
+        inside = np.clip(s, 0.0, self.length)
+        x, y = (np.interp(inside, self.s, column) for column in self.points.T)
+        h, over = np.interp(inside, self.s, self.heading), s - inside
+        return (
+            x - over * np.sin(h) + aside * np.cos(h),
+            y + over * np.cos(h) + aside * np.sin(h),
+            h,
+        )
+
+    def nearest(self, xy: Array) -> tuple[Array, Array]:
+        """Station and offset to the right [m] of (..., 2) places; the offset is inf beyond the ends."""
+        _, k = self._tree.query(xy)
+        d, h = xy - self.points[k], self.heading[k]
+        along = d[..., 1] * np.cos(h) - d[..., 0] * np.sin(h)
+        aside = d[..., 0] * np.cos(h) + d[..., 1] * np.sin(h)
+        return self.s[k] + along, np.where(np.abs(along) > 1.5 * STEP_M, np.inf, aside)
+
+
+@dataclass(frozen=True)
+class GiveWay:
+    """A line that waits for those who are in a junction already.
+
+    Attributes:
+        s: of the line, along the route [m].
+        meet: x, y where the route meets theirs [m].
+    """
+
+    s: float
+    meet: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Route:
+    """A lane as it is driven, from one end of the drawn road to another.
+
+    Attributes:
+        path: its middle.
+        cycles: whether it is a cycle lane.
+        red: stations of lines before a signal at red [m].
+        zebras: stations of the middles of zebra crossings [m].
+        gives_way: lines before other traffic.
+        turns: (from, to) [m] and side, 1 for left and -1 for right, where an indicator blinks.
+    """
+
+    path: Path
+    cycles: bool = False
+    red: tuple[float, ...] = ()
+    zebras: tuple[float, ...] = ()
+    gives_way: tuple[GiveWay, ...] = ()
+    turns: tuple[tuple[float, float, int], ...] = field(default=())
+
+
+def routes(site: Any, main_waits: bool) -> list[Route]:
+    """All lanes of a road or junction.
+
+    Args:
+        site: one of ROUTES' kinds.
+        main_waits: whether the signals of a crossing's main street are at red.
+    """
+    return list(ROUTES[type(site)](site, main_waits))
+
+
+def footways(site: Any) -> list[Path]:
+    """The pavements of a road or junction, each one way; who walks there goes both."""
+    return list(FOOTWAYS[type(site)](site))
+
+
+def rounded(points: Array, over_m: float = ROUNDED_M) -> Array:
+    """(N, 2) points at even steps of STEP_M along a line [m], its corners rounded over a length."""
+    length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    keep = np.r_[True, np.diff(length) > 1e-9]
+    even = np.linspace(0.0, length[-1], max(3, round(length[-1] / STEP_M) + 1))
+    xy = np.stack([np.interp(even, length[keep], column[keep]) for column in points.T], axis=1)
+    size = 2 * round(over_m / STEP_M / 2) + 1
+    if over_m <= 0.0 or len(xy) <= size:
+        return xy
+    ends = [2 * xy[0] - xy[size:0:-1], xy, 2 * xy[-1] - xy[-2 : -size - 2 : -1]]  # straight on, so that ends stay
+    return np.asarray(ndimage.uniform_filter1d(np.concatenate(ends), size, axis=0)[size:-size])
+
+
+# -- a road
+
+
+def _of_road(road: Road, main_waits: bool) -> Iterator[Route]:
+    line = road.reference_line
+    s = np.linspace(0.0, line.length, round(line.length / STEP_M) + 1)
+    for lane in road.lane_section.of("lane", "bus", "cycle"):
+        way = lane.way or (1 if lane.middle > 0 else -1)
+        path = Path(np.stack(line.place(s, lane.middle), axis=1)[::way], lane.width)
+        at = sorted(float(path.nearest(np.stack(line.place(zebra, lane.middle)))[0]) for zebra in road.zebras)
+        yield Route(path, lane.kind == "cycle", zebras=tuple(at))
+
+
+def _pavements(road: Road) -> Iterator[Path]:
+    line = road.reference_line
+    s = np.linspace(0.0, line.length, round(line.length / STEP_M) + 1)
+    for lane in road.lane_section.of("pavement"):
+        yield Path(np.stack(line.place(s, lane.middle), axis=1), lane.width)
+
+
+# -- the crossing
+
+
+def _of_crossing(site: Crossing, main_waits: bool) -> Iterator[Route]:
+    """Straight on: nobody turns."""
+    for across, begin, end, stop in (
+        (1.76, -crossing.SOUTH, crossing.NORTH, -STOP),
+        (-1.8, crossing.NORTH, -crossing.SOUTH, STOP),
+    ):
+        yield _straight((across, begin), (across, end), abs(stop - begin), crossing.LANE_M, main_waits)
+    for across, begin, end, stop in (
+        (-2.08, -crossing.SIDE, crossing.SIDE, -STOP_SIDE),
+        (2.12, crossing.SIDE, -crossing.SIDE, STOP_SIDE),
+    ):
+        yield _straight((begin, across), (end, across), abs(stop - begin), crossing.SIDE_HALF, not main_waits)
+
+
+def _straight(begin: tuple[float, float], end: tuple[float, float], line: float, width: float, red: bool) -> Route:
+    path = Path(rounded(np.array([begin, end]), 0.0), width)
+    return Route(path, red=(line + AT_LINE_M,) if red else ())
+
+
+def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:
+    for x in (-FOOTWAY_X, FOOTWAY_X):
+        yield Path(rounded(np.array([(x, -crossing.SOUTH), (x, crossing.NORTH)]), 0.0), 2.0)
+        for y in (-FOOTWAY_Y, FOOTWAY_Y):
+            yield Path(rounded(np.array([(x, y), (math.copysign(crossing.SIDE, x), y)]), 0.0), 2.0)
+
+
+# -- a roundabout
+
+
+def _of_roundabout(site: Roundabout, main_waits: bool) -> Iterator[Route]:
+    """From every arm to every other one."""
+    n = len(site.arms)
+    for i in range(n):
+        entry, merge = _arm(site, i, -1)
+        for j in ((i + k) % n for k in range(1, n)):
+            leaving, part = _arm(site, j, 1)
+            leaving = leaving[::-1]
+            turn = (part - merge + math.pi / 2) % (2 * math.pi) - math.pi / 2
+            arc = merge + np.linspace(0.0, max(turn, 0.0), max(2, round(max(turn, 0.0) * _middle(site) / STEP_M)))
+            ring = _middle(site) * np.stack([np.cos(arc), np.sin(arc)], axis=1)
+            path = Path(rounded(np.concatenate([entry, ring, leaving])), min(site.lane_width, site.radius - site.inner))
+            r = np.hypot(*path.points.T)
+            enters = float(path.s[np.argmax(r < site.radius + AT_LINE_M / 2)])
+            leaves = float(path.s[len(r) - 1 - np.argmax(r[::-1] < site.radius)])
+            zebras = [
+                float(path.s[np.argmin(np.where(half, np.abs(r - site.arms[arm].zebras[0]), np.inf))])
+                for arm, half in ((i, path.s < enters), (j, path.s > leaves))
+            ]
+            meet = _middle(site) * math.cos(merge), _middle(site) * math.sin(merge)
+            blinks = (leaves - _middle(site) * 2 * math.pi / n * 0.8, leaves + ZEBRA_HALF_M, -1)
+            yield Route(path, zebras=tuple(zebras), gives_way=(GiveWay(enters, meet),), turns=(blinks,))
+
+
+def _middle(site: Roundabout) -> float:
+    """Radius of the middle of the lane that goes round [m]."""
+    return (site.radius + site.inner) / 2
+
+
+def _arm(site: Roundabout, arm: int, way: int) -> tuple[Array, float]:
+    """(N, 2) points of an arm's lane from its end to the circle [m], inwards (-1) or outwards (1), and the angle
+    [rad, counter-clockwise from +X] at which it meets the middle of the lane that goes round.
+    """
+    road, r = site.arms[arm], site.corners[arm if way < 0 else arm - 1] + site.lane_width / 2
+    line, e = road.reference_line, site.half_island + site.lane_width / 2
+    foot = math.sqrt((_middle(site) + r) ** 2 - (e + r) ** 2)
+    s = np.arange(line.length, foot, -STEP_M)
+    lane = np.stack(line.place(s, way * (site.spread(s) + site.lane_width / 2)), axis=1)
+    turn = np.linspace(0.0, math.atan2(foot, e + r), 30)  # round the arc's centre, from the lane to the circle
+    t, along = way * (e + r - r * np.cos(turn)), foot - r * np.sin(turn)
+    arc = np.stack(line.place(along, t), axis=1)
+    return np.concatenate([lane, arc]), math.atan2(arc[-1, 1], arc[-1, 0])
+
+
+def _of_roundabout_pavements(site: Roundabout) -> Iterator[Path]:
+    outline = site.outline
+    for corner in range(len(site.arms)):
+        span = outline.span(corner)
+        middle = outline.points[span] + site.pavement / 2 * outline.normals[span]
+        yield Path(rounded(middle, 1.0), site.pavement)
+
+
+ROUTES: Mapping[type, Callable[[Any, bool], Iterator[Route]]] = {
+    Road: _of_road,
+    Crossing: _of_crossing,
+    Roundabout: _of_roundabout,
+}
+FOOTWAYS: Mapping[type, Callable[[Any], Iterator[Path]]] = {
+    Road: _pavements,
+    Crossing: _of_crossing_pavements,
+    Roundabout: _of_roundabout_pavements,
+}

@@ -1,0 +1,215 @@
+"""People on foot: along the pavement, or over the zebra and on along the pavement behind it.
+
+Everyone's way is planned after those of who is before them, and passes what stands and who walks: somewhat to the side,
+or slower, or not at all.  Takes who walks and the pavements; gives places at even steps of time.  Knows nothing of
+models or stages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.seeds import stream
+from synfog_usd.world.traffic.paths import Path, rounded
+
+SPEED_M_S = {
+    "man_walking": 1.4, "woman_walking": 1.35, "student": 1.45, "child": 1.2, "schoolgirl": 1.25, "old_man": 0.9,
+    "jogger": 2.7, "woman_pram": 1.2, "wheelchair_user": 1.0,
+}  # fmt: skip
+"""Who walks by themselves, on level ground: 1.4 m/s is the mean of adults (Bohannon 1997), less for children and the
+old.
+"""
+SPREAD = 0.08
+"""Share by which speeds differ."""
+TOGETHER_M, TOGETHER = 1.4, 0.35
+"""Who are so near each other and look the same way to so much [rad] go at one speed."""
+SIDES_M = (0.0, 0.25, -0.25, 0.5, -0.5, 0.8, -0.8, 1.1, -1.1)
+SLOWER = (1.0, 0.8, 0.55)
+ASIDE_OVER_M = 2.0
+ROOM_M = 0.06
+"""Kept free around everyone who walks."""
+EDGE_M = 0.35
+"""Kept from the edges of a pavement."""
+CROSSES_M = 16.0
+"""Longest way over a road that is looked for."""
+BEYOND_M = 25.0
+EVERY = 2
+"""Room is asked for at each step with a number divisible by it."""
+
+
+@dataclass(frozen=True)
+class Walker:
+    """One who walks.
+
+    Attributes:
+        name: of a stream of numbers.
+        x, y: [m]; heading: [rad].
+        box: low x, low y, high x, high y of what it takes up, in its own axes [m].
+        speed: [m/s].
+    """
+
+    name: str
+    x: float
+    y: float
+    heading: float
+    box: tuple[float, float, float, float]
+    speed: float
+
+
+@dataclass(frozen=True)
+class Way:
+    """A walker's path, and where on it they are at first.
+
+    Attributes:
+        path: as it is walked.
+        s, aside: of the walker [m]; turn: heading beyond the path's [rad].
+        least, most: offsets between which it may be walked [m].
+    """
+
+    path: Path
+    s: float
+    aside: float
+    turn: float
+    least: float
+    most: float
+
+    def place(self, travel: Array, shift: float) -> Array:
+        """(K, 3) x, y [m] and heading [rad] after so much of the way [m], gone over to a side by `shift` [m]."""
+        u = np.clip(travel / ASIDE_OVER_M, 0.0, 1.0)
+        offset = self.aside + shift * u * u * (3.0 - 2.0 * u)
+        x, y, h = self.path.at(self.s + travel, offset)
+        lean = np.arctan2(shift * 6.0 * u * (1.0 - u) / ASIDE_OVER_M, 1.0)
+        return np.stack([x, y, h - lean + self.turn * np.exp(-travel / 1.5)], axis=-1)
+
+
+def plan(walkers: Sequence[Walker], ways: Sequence[Path], fixed: Sequence[Array], times: Array, seed: int) -> Array:
+    """Where everyone is at even steps of time.
+
+    Args:
+        walkers: at the beginning.
+        ways: pavements.
+        fixed: (4, 2) outlines of what stands [m].
+        times: (K,) [s], from 0.
+        seed: of speeds and turns.
+
+    Returns:
+        (K, M, 4) x, y [m], heading [rad] and the way that was walked [m].
+    """
+    walkers = _paced(walkers, seed)
+    routes = [_way(one, ways, stream(seed, "traffic", "walker", one.name)) for one in walkers]
+    result = np.zeros((len(times), len(walkers), 4))
+    for number, one in enumerate(walkers):
+        result[:, number, :3] = one.x, one.y, one.heading
+    stands = shapely.STRtree([shapely.Polygon(corners) for corners in fixed])
+    order = sorted(range(len(walkers)), key=lambda k: -routes[k].s)
+    for number in order:
+        one, way = walkers[number], routes[number]
+        others = np.delete(np.arange(len(walkers)), number)
+        near = [
+            k for k in others
+            if np.hypot(*(result[:, k, :2] - (one.x, one.y)).T).min() < one.speed * times[-1] + 3.0
+        ]  # fmt: skip
+        beside = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
+        result[:, number] = _chosen(one, way, times, stands, beside)
+    return result
+
+
+def outlines(places: Array, box: tuple[float, float, float, float], room: float = 0.0) -> Array:
+    """(K, 4, 2) corners [m] of what somebody takes up at (K, 3) places."""
+    low_x, low_y, high_x, high_y = box[0] - room, box[1] - room, box[2] + room, box[3] + room
+    corners = np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)])
+    c, s = np.cos(places[:, 2])[:, None], np.sin(places[:, 2])[:, None]
+    x, y = corners[None, :, 0], corners[None, :, 1]
+    return np.stack([places[:, :1] + x * c - y * s, places[:, 1:2] + x * s + y * c], axis=-1)
+
+
+def _chosen(one: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
+    """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
+    limit = max(way.path.length - way.s - 0.5, 0.0)
+    best: tuple[int, float, float] = (0, 0.0, 1.0)
+    for slower in SLOWER:
+        travel = np.minimum(one.speed * slower * times, limit)
+        for shift in SIDES_M:
+            if shift and not way.least <= way.aside + shift <= way.most:
+                continue
+            free = _free_until(way.place(travel, shift), one, stands, beside)
+            if free == len(times):
+                return np.c_[way.place(travel, shift), travel]
+            best = max(best, (free, -abs(shift), slower), key=lambda found: found[0])
+    for stop in range(best[0] - EVERY, 0, -EVERY):  # stand still before what is in the way
+        travel = np.minimum(one.speed * times, one.speed * times[stop])
+        if _free_until(way.place(travel, 0.0), one, stands, beside) == len(times):
+            return np.c_[way.place(travel, 0.0), travel]
+    travel = np.zeros(len(times))
+    return np.c_[np.tile((one.x, one.y, one.heading), (len(times), 1)), travel]
+
+
+def _free_until(places: Array, one: Walker, stands: shapely.STRtree, beside: Sequence[Array]) -> int:
+    """Number of the step at which somebody runs into something; the number of steps where nobody does."""
+    mine = shapely.polygons(outlines(places[::EVERY], one.box, ROOM_M))
+    hits = [stands.query(mine, predicate="intersects")[0]]
+    for other in beside:
+        close = np.hypot(*(other.mean(axis=1) - places[::EVERY, :2]).T) < 4.0
+        if close.any():
+            at = np.flatnonzero(close)
+            hits.append(at[shapely.intersects(mine[at], shapely.polygons(other[at]))])
+    every = np.concatenate(hits)
+    every = every[every > 0]  # as they were drawn they stand
+    return int(every.min()) * EVERY if len(every) else len(places)
+
+
+def _paced(walkers: Sequence[Walker], seed: int) -> list[Walker]:
+    """With a speed for everyone, the same for those who go together."""
+    found = [
+        replace(one, speed=one.speed * float(stream(seed, "traffic", "pace", one.name).uniform(1 - SPREAD, 1 + SPREAD)))
+        for one in walkers
+    ]
+    for _ in range(3):
+        for i, one in enumerate(found):
+            together = [
+                other.speed for other in found
+                if math.hypot(other.x - one.x, other.y - one.y) < TOGETHER_M
+                and abs(math.remainder(other.heading - one.heading, 2 * math.pi)) < TOGETHER
+            ]  # fmt: skip
+            found[i] = replace(one, speed=min(together))
+    return found
+
+
+def _way(one: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
+    """Along the pavement that somebody is on, or over the road to the next and along it."""
+    place = np.array([one.x, one.y])
+    for path in ways:
+        s, aside = path.nearest(place)
+        half = path.width / 2
+        if abs(float(aside)) < half:
+            back = math.cos(float(path.at(s)[2]) - one.heading) < 0.0
+            if abs(math.sin(float(path.at(s)[2]) - one.heading)) < 0.8:
+                return _along(_turned(path, back), one, half - EDGE_M)
+    ahead = place + np.arange(0.0, CROSSES_M, 0.1)[:, None] * (-math.sin(one.heading), math.cos(one.heading))
+    for k in range(5, len(ahead)):
+        for path in ways:
+            s, aside = path.nearest(ahead[k])
+            if abs(float(aside)) < 0.1 + 0.2 * rng.random():
+                path = _turned(path, rng.random() < 0.5)
+                at = float(path.nearest(ahead[k])[0])
+                behind = path.points[(path.s > at + 0.6) & (path.s < at + BEYOND_M)]
+                start = place - 2.0 * (ahead[1] - ahead[0]) / 0.1
+                return _along(Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), one, 0.0)
+    straight = np.stack([ahead[0] - 2.0 * (ahead[1] - ahead[0]) / 0.1, ahead[20]])
+    return _along(Path(rounded(straight, 0.0), 2.0), one, 0.0)
+
+
+def _turned(path: Path, back: bool) -> Path:
+    return Path(path.points[::-1], path.width) if back else path
+
+
+def _along(path: Path, one: Walker, most: float) -> Way:
+    s, aside = (float(v) for v in path.nearest(np.array([one.x, one.y])))
+    turn = math.remainder(one.heading - float(path.at(s)[2]), 2 * math.pi)
+    return Way(path, s, aside, turn, min(-most, aside), max(most, aside))

@@ -1,0 +1,156 @@
+"""Wheels and indicators of a model as meshes of their own, cut out of the meshes of its materials.
+
+A model has one mesh for each material, with all its wheels in it.  Takes a layer of such meshes; gives each wheel with
+its axle, what is left of the meshes, and the indicators of each side.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf
+from scipy import sparse
+
+from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.world.shapes import Part
+
+TURNING = ("tyre", "rim", "chrome")
+"""Materials of which wheels have parts: of chrome are spokes."""
+NARROW_M = 0.09
+"""Half the width of wheels with spokes; broader wheels have no chrome."""
+WITHIN_M = 0.03
+"""By which pieces of a mesh with fewer triangles leave the circle of their tyre."""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A wheel of a model.
+
+    Attributes:
+        name: of its prim, as 'Front_Left'.
+        axle: its middle in the model's axes [m].
+        radius: of its tyre [m].
+        parts: by material, in the model's axes.
+    """
+
+    name: str
+    axle: tuple[float, float, float]
+    radius: float
+    parts: Mapping[str, Part]
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """All wheels of a model.
+
+    Attributes:
+        wheels: from front to rear, left before right.
+        left: by material what of its mesh is no wheel, None where nothing is.
+        wheelbase: from the rearmost axle to the front one [m].
+    """
+
+    wheels: tuple[Wheel, ...]
+    left: Mapping[str, Part | None]
+    wheelbase: float
+
+
+@functools.cache
+def wheels_of(geometry: Path) -> Wheels | None:
+    """The wheels in a layer of meshes, or None where it has no tyres or is no file."""
+    layer = Sdf.Layer.FindOrOpen(str(geometry)) if geometry.exists() else None
+    parts = {name: _part(layer, name) for name in TURNING} if layer else {}
+    tyre = parts.get("tyre")
+    if tyre is None:
+        return None
+    discs = _discs(tyre)
+    narrow = all(abs(x) < NARROW_M for x, _, _, _ in discs)
+    found: list[dict[str, Part]] = [{} for _ in discs]
+    left: dict[str, Part | None] = {}
+    for name, part in parts.items():
+        if part is None or (name == "chrome" and not narrow):
+            continue
+        owner = _owners(part, discs)
+        for number, one in enumerate(found):
+            if (owner == number).any():
+                one[name] = _some(part, owner == number)
+        left[name] = _some(part, owner < 0) if (owner < 0).any() else None
+    middles = [y for _, y, _, _ in discs]
+    rows = sorted(set(middles), reverse=True)
+    wheels = []
+    for (x, y, z, radius), one in zip(discs, found, strict=True):
+        axle = ("Front", "Rear")[min(rows.index(y), 1)] if len(rows) < 3 else ("Front", "Middle", "Rear")[rows.index(y)]
+        side = "" if abs(x) < NARROW_M else ("_Left" if x < 0 else "_Right")
+        wheels.append(Wheel(f"{axle}{side}", (x, y, z), radius, one))
+    wheels.sort(key=lambda one: (-one.axle[1], one.axle[0]))
+    return Wheels(tuple(wheels), left, max(middles) - min(middles))
+
+
+@functools.cache
+def sides_of(geometry: Path, name: str) -> dict[str, Part]:
+    """The mesh of a material in its halves 'left' and 'right'; empty where a layer has none, or is no file."""
+    layer = Sdf.Layer.FindOrOpen(str(geometry)) if geometry.exists() else None
+    part = _part(layer, name) if layer else None
+    if part is None:
+        return {}
+    left = part.points[part.faces, 0].mean(axis=1) < 0.0
+    return {side: _some(part, half) for side, half in (("left", left), ("right", ~left)) if half.any()}
+
+
+def _part(layer: Sdf.Layer, name: str) -> Part | None:
+    mesh = layer.GetPrimAtPath(f"/Geometry/{name}")
+    if not mesh or "normals" not in mesh.attributes:
+        return None
+    points, normals, faces = (
+        np.array(mesh.attributes[key].default) for key in ("points", "normals", "faceVertexIndices")
+    )
+    return Part(
+        points.astype(np.float64), faces.reshape(-1, 3).astype(np.int64), name, None, normals.astype(np.float64)
+    )
+
+
+def _some(part: Part, faces: Array) -> Part:
+    """Some faces of a part, and the points that they use."""
+    used, corners = np.unique(part.faces[faces], return_inverse=True)
+    normals = None if part.normals is None else part.normals[used]
+    return Part(part.points[used], corners.reshape(-1, 3), part.material, None, normals)
+
+
+def _pieces(part: Part) -> tuple[int, Indices]:
+    """How many pieces hang together, and of which each point is."""
+    edges = np.concatenate([part.faces[:, :2], part.faces[:, 1:]])
+    graph = sparse.coo_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(len(part.points),) * 2)
+    count, piece = sparse.csgraph.connected_components(graph, directed=False)
+    return int(count), piece.astype(np.int64)
+
+
+def _discs(tyre: Part) -> list[tuple[float, float, float, float]]:
+    """Middle and radius [m] of each wheel: of every piece of tyre that touches the ground, near ones as one."""
+    count, piece = _pieces(tyre)
+    boxes = [(tyre.points[piece == k].min(axis=0), tyre.points[piece == k].max(axis=0)) for k in range(count)]
+    largest = max(high[2] for _, high in boxes)
+    discs: list[tuple[float, float, float, float]] = []
+    for low, high in boxes:
+        x, y, z = (round(float(v), 3) for v in (low + high) / 2)
+        radius = float(high[2] - low[2]) / 2
+        same = next((one for one in discs if np.hypot(one[0] - x, one[1] - y) < 0.8 * radius), None)
+        if radius < 0.4 * largest or same:
+            continue
+        row = next((one[1] for one in discs if abs(one[1] - y) < 0.02), y)
+        discs.append((x, row, z, radius))
+    return discs
+
+
+def _owners(part: Part, discs: list[tuple[float, float, float, float]]) -> Indices:
+    """(M,) number of the wheel that each face turns with, -1 for none: the wheel that holds all of its piece."""
+    count, piece = _pieces(part)
+    owner = np.full(count, -1)
+    for number, (x, y, z, radius) in enumerate(discs):
+        out = (np.hypot(part.points[:, 1] - y, part.points[:, 2] - z) > radius + WITHIN_M) | (
+            np.abs(part.points[:, 0] - x) > max(NARROW_M, 0.7 * radius * (abs(x) > NARROW_M))
+        )
+        owner[np.bincount(piece, weights=out, minlength=count) == 0] = number
+    return np.asarray(owner[piece[part.faces[:, 0]]])

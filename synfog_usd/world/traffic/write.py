@@ -1,0 +1,288 @@
+"""A clip as time samples of a stage: transforms, wheels, brake lights and indicators.
+
+Takes a layer with the drawn street and the tracks of what moves in it.  What stands has no samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Vt
+
+from synfog_usd.base.arrays import Array, Flags
+from synfog_usd.world import authoring
+from synfog_usd.world.lamps import LAMPS, tint
+from synfog_usd.world.roads import rules, stage
+from synfog_usd.world.shapes import Part
+from synfog_usd.world.spec import Placement, View, WorldSpec
+from synfog_usd.world.traffic.motion import Clip, Track
+from synfog_usd.world.traffic.wheels import Wheels, sides_of, wheels_of
+
+PARTS = "/World/Vehicles/Parts"
+"""Wheels of each model that drives, for reference; abstract, so that nobody sees them."""
+DARK = Gf.Vec3f(0.0)
+INDICATORS = "amber"
+"""Material of indicators."""
+KINDS = Sdf.ValueTypeNames
+
+
+def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
+    """Put a street into motion.
+
+    Args:
+        layer: `roads.stage.author` made it of `spec`.
+        spec: what stands where at frame 0.
+        clip: of the same street.
+    """
+    layer.startTimeCode, layer.endTimeCode = 0.0, float(clip.codes[-2])
+    layer.timeCodesPerSecond = layer.framesPerSecond = clip.fps
+    with Sdf.ChangeBlock():
+        for index, track in sorted(clip.tracks.items()):
+            p = spec.placed[index]
+            prim = layer.GetPrimAtPath(f"/World/{p.group}/{p.name}")
+            _author_track(layer, prim, p, track, clip.codes)
+            if p.group == "Vehicles":
+                _author_wheels(layer, prim, p, track, clip.codes)
+                _author_lamps(layer, prim, p, track, clip.codes)
+        _author_cameras(layer, spec, clip)
+
+
+# -- samples
+
+
+def _sample(layer: Sdf.Layer, path: Sdf.Path, codes: Array, values: Sequence[Any]) -> None:
+    """Values of an attribute at time codes; only those between which something changes, none where nothing does."""
+    if all(value == values[0] for value in values):
+        return
+    last = len(values) - 1
+    for k, (code, value) in enumerate(zip(codes, values, strict=True)):
+        if value != values[max(k - 1, 0)] or value != values[min(k + 1, last)]:
+            layer.SetTimeSample(path, float(code), value)
+
+
+def _attribute(prim: Sdf.PrimSpec, name: str, kind: Sdf.ValueTypeName, default: Any = None) -> Sdf.Path:
+    """An attribute of a prim in a layer, made where there is none."""
+    spec = prim.attributes.get(name)
+    if spec is None:
+        spec = Sdf.AttributeSpec(prim, name, kind, declaresCustom=name == authoring.VELOCITY)
+        if default is not None:
+            spec.default = default
+    return spec.path
+
+
+def _order(prim: Sdf.PrimSpec, names: Sequence[str]) -> None:
+    order = prim.attributes.get("xformOpOrder")
+    order = order or Sdf.AttributeSpec(prim, "xformOpOrder", KINDS.TokenArray, Sdf.VariabilityUniform)
+    order.default = Vt.TokenArray(names)
+
+
+def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
+    names = ["xformOp:translate"]
+    places = np.round(np.stack([track.x, track.y, track.z], axis=1), 4)
+    _sample(layer, prim.attributes[names[0]].path, codes, [Gf.Vec3d(*row) for row in places.tolist()])
+    for axis, angle in (("Z", track.heading), ("X", track.pitch), ("Y", track.roll)):
+        name, angles = f"xformOp:rotate{axis}", np.round(angle, 3)
+        if name in prim.attributes or np.ptp(angles) > 0.0:
+            names.append(name)
+            _sample(layer, _attribute(prim, name, KINDS.Float, 0.0), codes, angles.tolist())
+    if p.size != 1.0:
+        names.append("xformOp:scale")
+    _order(prim, names)
+    if not track.shown.all():
+        shown = ["inherited" if one else "invisible" for one in track.shown]
+        _sample(layer, _attribute(prim, "visibility", KINDS.Token, "inherited"), codes, shown)
+    if p.group == "Vehicles":
+        h, up = np.radians(track.heading), np.radians(track.pitch)
+        ahead = np.stack([-np.sin(h) * np.cos(up), np.cos(h) * np.cos(up), np.sin(up)], axis=1)
+        velocity = np.round(track.speed[:, None] * ahead, 3) + 0.0
+        still = Gf.Vec3f(*velocity[1].tolist())
+        path = _attribute(prim, authoring.VELOCITY, KINDS.Vector3f, still)
+        _sample(layer, path, codes, [Gf.Vec3f(*row) for row in velocity.tolist()])
+
+
+# -- wheels
+
+
+def _author_wheels(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
+    """Wheels that turn by the way that was gone, and steer in bends, in the place of those of the model's meshes."""
+    geometry, parts = _geometry(p)
+    wheels = wheels_of(geometry)
+    if wheels is None:
+        return
+    if not layer.GetPrimAtPath(parts):
+        _author_parts(layer, parts, wheels)
+    _refer(prim, parts)
+    for wheel in wheels.wheels:
+        over = Sdf.CreatePrimInLayer(layer, prim.path.AppendPath(f"Wheels/{wheel.name}"))
+        spin = np.round(np.degrees(-track.travel / (wheel.radius * p.size)), 1)
+        _sample(layer, _attribute(over, "xformOp:rotateX", KINDS.Float), codes, spin.tolist())
+        if wheel.name.startswith("Front"):
+            steer = np.round(np.degrees(np.arctan(wheels.wheelbase * p.size * track.bend)), 2) + 0.0
+            _sample(layer, _attribute(over, "xformOp:rotateZ", KINDS.Float), codes, steer.tolist())
+
+
+def _geometry(p: Placement) -> tuple[FilePath, str]:
+    """The layer of meshes that a placement shows, and where parts of them stand in the stage."""
+    low = p.variants.get("lod") == "low"
+    geometry = rules.model(p.asset).path.with_name(f"{p.asset}.{'low.' if low else ''}geo.usdc")
+    return geometry, f"{PARTS}/{p.asset}{'_low' if low else ''}"
+
+
+def _refer(prim: Sdf.PrimSpec, parts: str) -> None:
+    """Add parts to a placement; its prims can have opinions then, so that it is no instance."""
+    prim.referenceList.prependedItems = [Sdf.Reference("", parts), *prim.referenceList.prependedItems]
+    prim.instanceable = False
+
+
+def _abstract(layer: Sdf.Layer, path: str) -> None:
+    for one in (PARTS, path):
+        Sdf.CreatePrimInLayer(layer, one).specifier = Sdf.SpecifierClass
+
+
+def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
+    """What a reference brings to a model whose wheels turn: the wheels, and meshes without them."""
+    _abstract(layer, path)
+    for name, part in wheels.left.items():
+        over = Sdf.CreatePrimInLayer(layer, f"{path}/Geometry/{name}")
+        if part is None:
+            over.SetInfo("active", False)
+        else:
+            _author_mesh(over, part, (0.0, 0.0, 0.0))
+    scope = Sdf.CreatePrimInLayer(layer, f"{path}/Wheels")
+    scope.specifier, scope.typeName = Sdf.SpecifierDef, "Scope"
+    for wheel in wheels.wheels:
+        root = Sdf.CreatePrimInLayer(layer, f"{path}/Wheels/{wheel.name}")
+        root.specifier, root.typeName = Sdf.SpecifierDef, "Xform"
+        _attribute(root, "xformOp:translate", KINDS.Double3, Gf.Vec3d(*wheel.axle))
+        for axis in "ZX":
+            _attribute(root, f"xformOp:rotate{axis}", KINDS.Float, 0.0)
+        _order(root, ["xformOp:translate", "xformOp:rotateZ", "xformOp:rotateX"])
+        for name, part in wheel.parts.items():
+            _define_mesh(layer, f"{path}/Wheels/{wheel.name}/{name}", part, wheel.axle, f"{path}/Materials/{name}")
+
+
+def _define_mesh(layer: Sdf.Layer, path: str, part: Part, middle: tuple[float, float, float], material: str) -> None:
+    """A part as a mesh with a material."""
+    mesh = Sdf.CreatePrimInLayer(layer, path)
+    mesh.specifier, mesh.typeName = Sdf.SpecifierDef, "Mesh"
+    Sdf.AttributeSpec(mesh, "subdivisionScheme", KINDS.Token, Sdf.VariabilityUniform).default = "none"
+    Sdf.AttributeSpec(mesh, "doubleSided", KINDS.Bool, Sdf.VariabilityUniform).default = True
+    _author_mesh(mesh, part, middle)
+    mesh.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["MaterialBindingAPI"]))
+    Sdf.RelationshipSpec(mesh, "material:binding", False).targetPathList.explicitItems = [Sdf.Path(material)]
+
+
+def _author_mesh(prim: Sdf.PrimSpec, part: Part, middle: tuple[float, float, float]) -> None:
+    """Points, normals and corners of a part, seen from its middle."""
+    points = np.round(part.points - middle, 5).astype(np.float32)
+    normals = np.zeros((0, 3)) if part.normals is None else part.normals
+    for name, kind, value in (
+        ("points", KINDS.Point3fArray, Vt.Vec3fArray.FromNumpy(points)),
+        ("normals", KINDS.Normal3fArray, Vt.Vec3fArray.FromNumpy(normals.astype(np.float32))),
+        ("faceVertexCounts", KINDS.IntArray, Vt.IntArray.FromNumpy(np.full(len(part.faces), 3, dtype=np.int32))),
+        ("faceVertexIndices", KINDS.IntArray, Vt.IntArray.FromNumpy(part.faces.astype(np.int32).ravel())),
+        ("extent", KINDS.Float3Array, Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)]))),
+    ):
+        Sdf.AttributeSpec(prim, name, kind).default = value
+    prim.attributes["normals"].SetInfo("interpolation", "vertex")
+
+
+# -- lamps
+
+
+def _author_lamps(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
+    """Brake lights in both lightings, by day off at frame 0 as the still has them, and indicators."""
+    bright, dim = (_emissions(p.asset, choice) for choice in ("brake", "glow"))
+    by_day = track.brakes & (codes > 0.0)
+    for name, on in bright.items():
+        off = dim.get(name, DARK)
+        if on != off:
+            for lighting, lit, colours in (("active", track.brakes, (on, off)), ("sky", by_day, (on, DARK))):
+                path = Sdf.Path("/World").AppendVariantSelection("lighting", lighting)
+                path = path.AppendPath(prim.path.MakeRelativePath("/World")).AppendPath(f"Materials/{name}/Surface")
+                _author_emission(layer, path, lit, colours, codes)
+    if track.blinks.any():
+        _author_indicators(layer, prim, p, track, codes)
+
+
+def _author_indicators(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
+    """Indicators of the two sides in the place of the one mesh of both, each with a material that blinks."""
+    geometry, parts = _geometry(p)
+    sides = sides_of(geometry, INDICATORS)
+    if not sides:
+        return
+    parts += "_indicators"
+    nits = LAMPS["indicator_rear"].nits
+    lit = Gf.Vec3f(*(round(nits * part, 1) for part in tint("indicator_rear")))
+    for side, half in sides.items():
+        material = f"Materials/{INDICATORS}_{side}"
+        if not layer.GetPrimAtPath(f"{parts}/{material}"):
+            _abstract(layer, parts)
+            Sdf.CreatePrimInLayer(layer, f"{parts}/Geometry/{INDICATORS}").SetInfo("active", False)
+            Sdf.CreatePrimInLayer(layer, f"{parts}/Materials")
+            looks = Sdf.Layer.FindOrOpen(str(rules.model(p.asset).path.with_suffix(".mtl.usda")))
+            source = Sdf.Path(f"/{looks.defaultPrim}/Materials/{INDICATORS}")
+            Sdf.CopySpec(looks, source, layer, Sdf.Path(f"{parts}/{material}"))
+            _define_mesh(layer, f"{parts}/Geometry/{INDICATORS}_{side}", half, (0.0, 0.0, 0.0), f"{parts}/{material}")
+        way = 1 if side == "left" else -1
+        _author_emission(layer, prim.path.AppendPath(f"{material}/Surface"), track.blinks == way, (lit, DARK), codes)
+    _refer(prim, parts)
+
+
+def _author_emission(layer: Sdf.Layer, path: Sdf.Path, lit: Flags, colours: tuple[Any, Any], codes: Array) -> None:
+    """Emission of a shader, one colour where it is lit and another where it is not; none where it never is."""
+    if not lit.any():
+        return
+    over = Sdf.CreatePrimInLayer(layer, path)
+    name = _attribute(over, "inputs:emissiveColor", KINDS.Color3f, colours[0 if lit[1] else 1])
+    _sample(layer, name, codes, [colours[0 if one else 1] for one in lit])
+
+
+def _emissions(asset: str, choice: str) -> Mapping[str, Any]:
+    """Emission of a model's materials by a choice of its lamps; empty where it has no such choice."""
+    layer = Sdf.Layer.FindOrOpen(str(rules.model(asset).path))
+    materials = layer.GetPrimAtPath(
+        Sdf.Path(f"/{layer.defaultPrim}").AppendVariantSelection("lamps", choice).AppendPath("Materials")
+    )
+    found = {}
+    for material in materials.nameChildren if materials else ():
+        surface = material.nameChildren.get("Surface")
+        if surface and "inputs:emissiveColor" in surface.attributes:
+            found[material.name] = surface.attributes["inputs:emissiveColor"].default
+    return found
+
+
+# -- the camera's car
+
+
+def _author_cameras(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
+    """The ego's camera, those of its rig, and its headlights."""
+    views = _views(spec.view, clip.ego)
+    ego = layer.GetPrimAtPath(authoring.EGO)
+    for name, values in (
+        ("xformOp:translate", [Gf.Vec3d(one.x, one.y, one.z) for one in views]),
+        ("xformOp:rotateXYZ", [Gf.Vec3f(one.tilt, 0, one.heading) for one in views]),
+    ):
+        _sample(layer, ego.attributes[name].path, clip.codes, values)
+    above = spec.view.z - float(spec.road.height(spec.view.x, spec.view.y))
+    places = {f"{authoring.RIG}/{one.name}": [authoring.rig_place(view, one) for view in views] for one in spec.rig}
+    lamps = [dict(stage.headlights(view, view.z - above)) for view in views]
+    for name in lamps[0]:
+        places[f"/World/Lights/Headlights/{name}"] = [one[name] for one in lamps]
+    for path, matrices in places.items():
+        prim = layer.GetPrimAtPath(path)
+        if prim:
+            values = [Gf.Matrix4d(np.round(one.T, 6).tolist()) for one in matrices]
+            _sample(layer, prim.attributes["xformOp:transform"].path, clip.codes, values)
+
+
+def _views(view: View, track: Track) -> list[View]:
+    """The view at each frame; at frame 0 as it was drawn."""
+    rows = np.stack([track.x, track.y, track.z, track.heading + view.yaw, view.tilt + track.pitch], axis=1)
+    found = [replace(view, x=x, y=y, z=z, heading=h, tilt=t) for x, y, z, h, t in np.round(rows, 4).tolist()]
+    found[1] = view
+    return found
