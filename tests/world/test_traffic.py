@@ -142,10 +142,10 @@ def test_nothing_overlaps_jumps_or_floats(recipe):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 22))
+@pytest.mark.parametrize("seed", range(2, 6))
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_nothing_overlaps_in_many_draws(recipe, seed):
-    """The same for twenty more seeds, eight seconds each."""
+    """The same for four more seeds, eight seconds each."""
     spec, found = clip(recipe, seed, 8.0)
     hold(spec, found)
 
