@@ -95,7 +95,7 @@ MAKES = {"out": "bake", "set": "dataset run"}
 """Folders that verbs take, and the verb that makes them."""
 
 QUICK = ("check", "bake", "benchmark defog")
-LONG_S = {"selftest": 25, "study chamber": 25, "contact": 40}
+LONG_S = {"selftest": 15, "study chamber": 15, "contact": 20}
 """Verbs that are ended after so many seconds: all is imported by then."""
 
 REFUSED = {"benchmark detect", "study asm", "study noise", "study sources", "train defog", "train detect"}

@@ -344,7 +344,7 @@ def instancer(stage, square, values, name="displayColor", interpolation="vertex"
 
 
 @pytest.mark.parametrize("name", ["displayColor", "tint"])
-def test_points_of_an_instancer_take_their_colours(empty, square, name, interpolation="vertex"):
+def test_points_of_an_instancer_take_their_colours(empty, square, name, interpolation="varying"):
     """Four points of two colours are two groups of two instances."""
     stage = empty()
     instancer(stage, square, [RED, GREEN, RED, GREEN], name, interpolation)

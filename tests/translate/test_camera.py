@@ -118,6 +118,17 @@ def rendered(stage):
     return UsdRender.Settings.Define(stage, "/Render")
 
 
+def test_what_a_camera_or_render_settings_ask_for_in_vain_is_told(empty):
+    """Planes that would cut, and a window of the picture."""
+    stage = empty()
+    settings = rendered(stage).GetPrim()
+    assert not translate(stage).notes
+    camera(stage).CreateClippingPlanesAttr([Gf.Vec4f(1, 0, 0, 0), Gf.Vec4f(0, 1, 0, 0)])
+    settings.GetAttribute("dataWindowNDC").Set(Gf.Vec4f(0.5, 0, 1, 1))
+    told = {note.path: note.text for note in translate(stage).notes}
+    assert "2 clippingPlanes" in told["/Camera"] and "dataWindowNDC (0.5, 0, 1, 1) is not followed" in told["/Render"]
+
+
 @pytest.mark.parametrize("own, targets, asked, told", [
     ("/Camera", ["/Camera", "/Rear"], None, []),
     (None, ["/Rear"], None, ["is of /Rear, and /Camera is drawn"]),

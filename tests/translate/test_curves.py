@@ -202,7 +202,7 @@ def test_a_ribbon_turns_with_its_normals(empty, only_shape):
 
 
 @pytest.mark.parametrize("name", ["displayColor", "tint"])
-def test_colours_run_along_a_curve(empty, only_shape, name, interpolation="varying"):
+def test_colours_run_along_a_curve(empty, only_shape, name, interpolation="vertex"):
     """Red at its left end, blue at its right one; also where a reader names them."""
     stage = empty()
     curves = define(stage, [(0, 5, 0), (3, 5, 0)], [2], type="linear")
