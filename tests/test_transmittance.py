@@ -110,17 +110,8 @@ def test_a_bake_lists_things_with_the_transmittance_before_them(tmp_path):
     """exp(-3) before a wall at 50 m in fog of MOR 50, by the WMO's threshold of 5 %; 1 in clear air."""
     (tmp_path / "street.usda").write_text(street())
     words = (
-        "--resolution",
-        "32x18",
-        "--samples",
-        "2",
-        "--model",
-        "single",
-        "--lighting",
-        "sky",
-        "--fog",
-        "clear,mor50",
-    )
+        "--resolution", "32x18", "--samples", "2", "--model", "single", "--lighting", "sky", "--fog", "clear,mor50",
+    )  # fmt: skip
     done = run("bake", tmp_path / "street.usda", "-o", tmp_path / "out", *words)
     assert done.returncode == 0, done.stderr
     for fog, wanted in (("clear", 1.0), ("mor50", 0.05)):

@@ -180,21 +180,9 @@ def test_the_picture_is_that_of_the_street_written_by_hand(varied, tmp_path):
         ("hand", tmp_path / "hand.usda", []),
     ):
         words = [
-            "bake",
-            path,
-            "-o",
-            tmp_path / name,
-            "--resolution",
-            "64x36",
-            "--samples",
-            "1024",
-            "--target-error",
-            "0.02",
-            "--quality",
-            "reference",
-            "--json",
-            *more,
-        ]
+            "bake", path, "-o", tmp_path / name, "--resolution", "64x36", "--samples", "1024", "--target-error", "0.02",
+            "--quality", "reference", "--json", *more,
+        ]  # fmt: skip
         done = subprocess.run(
             [sys.executable, "-m", "synfog_usd.cli.main", *map(str, words)], capture_output=True, text=True, timeout=300
         )

@@ -45,13 +45,9 @@ def road(tmp_path_factory):
     path.write_text(BY_NIGHT, encoding="utf-8")
     plain = {name: value for name, value in os.environ.items() if name not in FOLDED}
     done = subprocess.run(
-        [sys.executable, str(HERE / "plain_look.py"), str(path)],
-        capture_output=True,
-        text=True,
-        env=plain,
-        cwd=folder,
+        [sys.executable, str(HERE / "plain_look.py"), str(path)], capture_output=True, text=True, env=plain, cwd=folder,
         timeout=300,
-    )
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return path, json.loads(done.stdout), done.stderr
 

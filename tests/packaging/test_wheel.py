@@ -133,13 +133,9 @@ def away(wheel, tmp_path_factory):
 
     def run(*arguments):
         done = subprocess.run(
-            [sys.executable, *map(str, arguments)],
-            cwd=empty,
-            env=environment,
-            capture_output=True,
-            text=True,
+            [sys.executable, *map(str, arguments)], cwd=empty, env=environment, capture_output=True, text=True,
             timeout=300,
-        )
+        )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
 
@@ -170,26 +166,10 @@ def test_the_wheel_bakes_where_there_is_no_checkout(away, content):
     site, empty, run = away
     (empty / "street.usda").write_text(street())
     run(
-        "-m",
-        "synfog_usd.cli.main",
-        "bake",
-        "street.usda",
-        "-o",
-        "out",
-        "--resolution",
-        "32x18",
-        "--samples",
-        "4",
-        "--fog",
-        "mor150",
-        "--lighting",
-        "sky",
-    )
+        "-m", "synfog_usd.cli.main", "bake", "street.usda", "-o", "out", "--resolution", "32x18", "--samples", "4",
+        "--fog", "mor150", "--lighting", "sky",
+    )  # fmt: skip
     assert {path.name for path in (empty / "out" / "sky" / "mor150").iterdir()} == {
-        "radiance.exr",
-        "layers.exr",
-        "raw.dng",
-        "srgb.png",
-        "instances.json",
-    }
+        "radiance.exr", "layers.exr", "raw.dng", "srgb.png", "instances.json",
+    }  # fmt: skip
     assert {path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()} == set(content)

@@ -123,12 +123,8 @@ def assert_whole(out, shot):
     """The files of a shot are there and its radiance is light."""
     radiance = read_exr(out / shot / "radiance.exr").pixels
     assert {path.name for path in (out / shot).iterdir()} == {
-        "radiance.exr",
-        "layers.exr",
-        "instances.json",
-        "raw.dng",
-        "srgb.png",
-    }
+        "radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png",
+    }  # fmt: skip
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.mean() > 0
 
 

@@ -350,16 +350,10 @@ TYPES = (
     *("timecode", "nothing", "opaque"),
 )
 ONE_OF_TYPE = {
-    "string": '"x"',
-    "token[]": '["x"]',
-    "asset": "@x@",
-    "bool": "1",
-    "double3": "(1, 2, 3)",
-    "color3f[]": "[(1, 2, 3)]",
-    "int[]": "[1, 2]",
-    "matrix4d": "((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))",
-    "quatf": "(1, 0, 0, 0)",
-}
+    "string": '"x"', "token[]": '["x"]', "asset": "@x@", "bool": "1", "double3": "(1, 2, 3)",
+    "color3f[]": "[(1, 2, 3)]", "int[]": "[1, 2]",
+    "matrix4d": "((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))", "quatf": "(1, 0, 0, 0)",
+}  # fmt: skip
 """A value of each of `TYPES`; '1' where none stands here."""
 
 NUMBERS = ("0", "-1", "1", "1e-45", "1e38", "-1e38", "1e308", "inf", "-inf", "nan", "0.5", "1e9", "100000")
@@ -379,14 +373,9 @@ ASSETS = (
     "@./lamp.ies@",
 )
 _BY_TYPE = {
-    "string": STRINGS,
-    "token": STRINGS,
-    "asset": ASSETS,
-    "bool": ("0", "1"),
-    "int": WHOLE,
-    "int64": WHOLE,
+    "string": STRINGS, "token": STRINGS, "asset": ASSETS, "bool": ("0", "1"), "int": WHOLE, "int64": WHOLE,
     "rel": ("</World>", "</Nowhere>", "None"),
-}
+}  # fmt: skip
 
 
 def parts_of(kind):

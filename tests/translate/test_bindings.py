@@ -146,32 +146,19 @@ def write(stage, path, name, kind, value):
 
 
 TINTS = [
-    (TYPES.Color3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
-    (TYPES.Half3, (0.125, 0.75, 0.5), (0.125, 0.75, 0.5)),
-    (TYPES.Double3, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
-    (TYPES.Vector3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
-    (TYPES.Color4f, (0.1, 0.8, 0.4, 0.9), (0.1, 0.8, 0.4)),
-    (TYPES.Int3, Gf.Vec3i(0, 1, 0), (0.0, 1.0, 0.0)),
-    (TYPES.Int, 1, (1.0, 1.0, 1.0)),
-    (TYPES.UChar, 1, (1.0, 1.0, 1.0)),
-    (TYPES.Int64, 0, (0.0, 0.0, 0.0)),
-    (TYPES.Bool, True, (1.0, 1.0, 1.0)),
-    (TYPES.Half, 0.25, (0.25, 0.25, 0.25)),
-    (TYPES.Double, 0.25, (0.25, 0.25, 0.25)),
-    (TYPES.FloatArray, [0.25], (0.25, 0.25, 0.25)),
+    (TYPES.Color3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)), (TYPES.Half3, (0.125, 0.75, 0.5), (0.125, 0.75, 0.5)),
+    (TYPES.Double3, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)), (TYPES.Vector3f, (0.1, 0.8, 0.4), (0.1, 0.8, 0.4)),
+    (TYPES.Color4f, (0.1, 0.8, 0.4, 0.9), (0.1, 0.8, 0.4)), (TYPES.Int3, Gf.Vec3i(0, 1, 0), (0.0, 1.0, 0.0)),
+    (TYPES.Int, 1, (1.0, 1.0, 1.0)), (TYPES.UChar, 1, (1.0, 1.0, 1.0)), (TYPES.Int64, 0, (0.0, 0.0, 0.0)),
+    (TYPES.Bool, True, (1.0, 1.0, 1.0)), (TYPES.Half, 0.25, (0.25, 0.25, 0.25)),
+    (TYPES.Double, 0.25, (0.25, 0.25, 0.25)), (TYPES.FloatArray, [0.25], (0.25, 0.25, 0.25)),
     (TYPES.FloatArray, [0.1, 0.8, 0.4], (0.1, 0.8, 0.4)),
-    (TYPES.Color3hArray, [(0.125, 0.75, 0.5)], (0.125, 0.75, 0.5)),
-    (TYPES.IntArray, [1], (1.0, 1.0, 1.0)),
-]
+    (TYPES.Color3hArray, [(0.125, 0.75, 0.5)], (0.125, 0.75, 0.5)), (TYPES.IntArray, [1], (1.0, 1.0, 1.0)),
+]  # fmt: skip
 NO_COLOURS = [
-    (TYPES.Float2, (0.5, 0.5)),
-    (TYPES.Matrix3d, Gf.Matrix3d(0.5)),
-    (TYPES.Quatf, Gf.Quatf(0.5)),
-    (TYPES.String, "red"),
-    (TYPES.TokenArray, ["red"]),
-    (TYPES.Asset, "red.png"),
-    (TYPES.Color3f, (float("nan"), 0.5, 0.5)),
-]
+    (TYPES.Float2, (0.5, 0.5)), (TYPES.Matrix3d, Gf.Matrix3d(0.5)), (TYPES.Quatf, Gf.Quatf(0.5)), (TYPES.String, "red"),
+    (TYPES.TokenArray, ["red"]), (TYPES.Asset, "red.png"), (TYPES.Color3f, (float("nan"), 0.5, 0.5)),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("at", ["/A{}/B/Mesh", "/A{}/B", "/A{}"])

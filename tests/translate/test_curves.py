@@ -79,14 +79,9 @@ def test_periodic_curves_close(empty, only_shape, basis):
     stage = empty()
     angle = np.arange(12) * 2 * np.pi / 12
     define(
-        stage,
-        [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle],
-        [12],
-        type="cubic",
-        basis=basis,
-        wrap="periodic",
-        widths=[0.02],
-    )
+        stage, [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [12], type="cubic", basis=basis,
+        wrap="periodic", widths=[0.02],
+    )  # fmt: skip
     middle, _ = rings(only_shape(translate(stage)), 8)
     assert len(middle) == 12 * 6 + 1
     np.testing.assert_allclose(middle[0], middle[-1], atol=1e-6)
@@ -104,13 +99,9 @@ def test_periodic_curves_close(empty, only_shape, basis):
 def test_widths_of_every_interpolation(empty, only_shape, interpolation, widths, wanted):
     stage = empty()
     define(
-        stage,
-        [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 2), (1, 5, 2)],
-        [3, 2],
-        type="linear",
-        widths=widths,
+        stage, [(0, 5, 0), (1, 5, 0), (2, 5, 0), (0, 5, 2), (1, 5, 2)], [3, 2], type="linear", widths=widths,
         interpolation=interpolation,
-    )
+    )  # fmt: skip
     middle, radius = rings(only_shape(translate(stage)), 8)
     order = np.lexsort((middle[:, 0], middle[:, 2].round(3)))
     np.testing.assert_allclose(radius[order] * np.sin(np.pi / 8) / (np.pi / 8), wanted, rtol=1e-4)

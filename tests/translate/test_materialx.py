@@ -233,14 +233,10 @@ def test_what_is_no_materialx_is_told_and_refused_where_all_counts(tmp_path, tex
 
 
 ODD = [
-    ("base_color", "color3", "0.96 0.37 0.25"),
-    ("base_color", "color3", " 0.96,0.37 ,  0.25, "),
-    ("base_color", "color3", "9.6e-1\n37E-2\t.25"),
-    ("base_color", "color3", "+0.5, 0.5f, 0.50"),
-    ("base", "float", " 5.e-1 "),
-    ("base", "float", "0.25, 0.75"),
-    ("thin_walled", "boolean", "true"),
-]
+    ("base_color", "color3", "0.96 0.37 0.25"), ("base_color", "color3", " 0.96,0.37 ,  0.25, "),
+    ("base_color", "color3", "9.6e-1\n37E-2\t.25"), ("base_color", "color3", "+0.5, 0.5f, 0.50"),
+    ("base", "float", " 5.e-1 "), ("base", "float", "0.25, 0.75"), ("thin_walled", "boolean", "true"),
+]  # fmt: skip
 
 
 def stored(path, name):

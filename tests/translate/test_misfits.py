@@ -117,20 +117,14 @@ def test_an_input_of_any_type_is_drawn(painted, shader):
 
 
 CONNECTIONS = {
-    "a prim that is missing": "/Gone.outputs:out",
-    "an output that is missing": "{m}/Picture.outputs:gone",
-    "an output of another kind": "{m}/Surface.outputs:surface",
-    "a shader of another kind": "{m}/Reader.outputs:result",
-    "a picture's alpha": "{m}/Picture.outputs:a",
-    "its own output": "{m}/{s}.outputs:result",
-    "its own input": "{m}/{s}.inputs:{n}",
-    "another input": "{m}/Picture.inputs:scale",
-    "an attribute of a mesh": "/Mesh0.points",
-    "a prim": "{m}/Picture",
-    "another material's shader": "/M0/Tint.outputs:result",
-    "an interface without a value": "{m}.inputs:knob",
+    "a prim that is missing": "/Gone.outputs:out", "an output that is missing": "{m}/Picture.outputs:gone",
+    "an output of another kind": "{m}/Surface.outputs:surface", "a shader of another kind": "{m}/Reader.outputs:result",
+    "a picture's alpha": "{m}/Picture.outputs:a", "its own output": "{m}/{s}.outputs:result",
+    "its own input": "{m}/{s}.inputs:{n}", "another input": "{m}/Picture.inputs:scale",
+    "an attribute of a mesh": "/Mesh0.points", "a prim": "{m}/Picture",
+    "another material's shader": "/M0/Tint.outputs:result", "an interface without a value": "{m}.inputs:knob",
     "an interface in a circle": "{m}.inputs:circle",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("shader", INPUTS)

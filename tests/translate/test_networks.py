@@ -50,19 +50,10 @@ def test_standard_surface_weighs_its_picture(quad, tmp_path):
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     shader(
-        "Surface",
-        "ND_standard_surface_surfaceshader",
-        "mtlx",
-        base=0.5,
-        base_color=image(shader, "Picture", tmp_path / "a.png"),
-        specular_roughness=0.3,
-        metalness=0.25,
-        specular_IOR=1.4,
-        coat=0.75,
-        emission=10.0,
-        emission_color=(1, 0.5, 0.25),
-        opacity=(0.5, 0.5, 0.5),
-    )
+        "Surface", "ND_standard_surface_surfaceshader", "mtlx", base=0.5,
+        base_color=image(shader, "Picture", tmp_path / "a.png"), specular_roughness=0.3, metalness=0.25,
+        specular_IOR=1.4, coat=0.75, emission=10.0, emission_color=(1, 0.5, 0.25), opacity=(0.5, 0.5, 0.5),
+    )  # fmt: skip
     _, shape, bsdf = drawn(stage)
     assert (bsdf["type"], bsdf["opacity"]) == ("mask", 0.5)
     inner = bsdf["bsdf"]["bsdf"]
@@ -94,15 +85,9 @@ def test_what_is_not_authored_takes_the_nodes_own_defaults(quad, kind, color, ro
 def test_open_pbr_shines_in_nits(quad):
     stage, shader = quad
     shader(
-        "Surface",
-        "ND_open_pbr_surface_surfaceshader",
-        "mtlx",
-        base_color=(0.1, 0.2, 0.3),
-        base_metalness=1.0,
-        fuzz_weight=0.5,
-        emission_luminance=1000.0,
-        emission_color=(1, 1, 0.5),
-    )
+        "Surface", "ND_open_pbr_surface_surfaceshader", "mtlx", base_color=(0.1, 0.2, 0.3), base_metalness=1.0,
+        fuzz_weight=0.5, emission_luminance=1000.0, emission_color=(1, 1, 0.5),
+    )  # fmt: skip
     scene, shape, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["value"], [0.1, 0.2, 0.3], rtol=1e-6)
     assert (bsdf["bsdf"]["metallic"], shape["emitter"]["radiance"]["value"]) == (1.0, [1000.0, 1000.0, 500.0])
@@ -175,19 +160,10 @@ def test_a_gltf_surface_is_drawn_by_its_inputs(quad):
     """
     stage, shader = quad
     gltf(
-        shader,
-        base_color=(0.8, 0.4, 0.2),
-        metallic=0.25,
-        roughness=0.3,
-        ior=1.33,
-        specular=0.5,
-        clearcoat=0.6,
-        clearcoat_roughness=0.2,
-        emissive=(1.0, 0.5, 0.25),
-        emissive_strength=4.0,
-        occlusion=0.1,
+        shader, base_color=(0.8, 0.4, 0.2), metallic=0.25, roughness=0.3, ior=1.33, specular=0.5, clearcoat=0.6,
+        clearcoat_roughness=0.2, emissive=(1.0, 0.5, 0.25), emissive_strength=4.0, occlusion=0.1,
         sheen_color=(0.0, 0.0, 0.0),
-    )
+    )  # fmt: skip
     scene, shape, bsdf = drawn(stage)
     inner = bsdf["bsdf"]
     np.testing.assert_allclose(inner["base_color"]["value"], [0.8, 0.4, 0.2], rtol=1e-6)
@@ -221,14 +197,9 @@ def test_a_gltf_picture_is_placed_multiplied_and_cut_out(quad, tmp_path):
     pixels = np.concatenate([CODES, np.linspace(0, 255, 16).reshape(4, 4, 1).astype(np.uint8)], axis=2)
     write(tmp_path / "a.png", pixels)
     made = shader(
-        "Picture",
-        "ND_gltf_colorimage",
-        file=tmp_path / "a.png",
-        color=(0.5, 1.0, 1.0, 0.5),
-        scale=(2.0, 3.0),
-        rotate=30.0,
-        offset=(0.25, 0.125),
-    )
+        "Picture", "ND_gltf_colorimage", file=tmp_path / "a.png", color=(0.5, 1.0, 1.0, 0.5), scale=(2.0, 3.0),
+        rotate=30.0, offset=(0.25, 0.125),
+    )  # fmt: skip
     made.GetInput("file").GetAttr().SetColorSpace("srgb_texture")
     gltf(
         shader,
@@ -266,19 +237,11 @@ def test_a_disney_surface_is_drawn_by_its_inputs(quad, tmp_path):
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     shader(
-        "Surface",
-        "ND_disney_principled",
-        "mtlx",
-        baseColor=(0.8, 0.4, 0.2),
-        metallic=0.25,
-        roughness=0.3,
-        specular=0.75,
-        ior=1.2,
-        clearcoat=0.5,
-        clearcoatGloss=image(shader, "Picture", tmp_path / "a.png", kind="ND_image_float", space=""),
-        specTrans=0.5,
+        "Surface", "ND_disney_principled", "mtlx", baseColor=(0.8, 0.4, 0.2), metallic=0.25, roughness=0.3,
+        specular=0.75, ior=1.2, clearcoat=0.5,
+        clearcoatGloss=image(shader, "Picture", tmp_path / "a.png", kind="ND_image_float", space=""), specTrans=0.5,
         sheen=0.1,
-    )
+    )  # fmt: skip
     scene, _, bsdf = drawn(stage)
     inner = bsdf["bsdf_0"]["bsdf"]
     np.testing.assert_allclose(inner["base_color"]["value"], [0.8, 0.4, 0.2], rtol=1e-6)
@@ -296,14 +259,9 @@ def test_a_preview_surface_in_materialx_is_a_preview_surface(quad):
     """ND_UsdPreviewSurface_surfaceshader has the inputs and defaults of UsdPreviewSurface."""
     stage, shader = quad
     inputs = {
-        "diffuseColor": (0.1, 0.2, 0.3),
-        "metallic": 0.25,
-        "ior": 1.4,
-        "clearcoat": 0.5,
-        "opacity": 0.5,
-        "opacityThreshold": 0.25,
-        "emissiveColor": (1, 2, 3),
-    }
+        "diffuseColor": (0.1, 0.2, 0.3), "metallic": 0.25, "ior": 1.4, "clearcoat": 0.5, "opacity": 0.5,
+        "opacityThreshold": 0.25, "emissiveColor": (1, 2, 3),
+    }  # fmt: skip
     shader("Surface", "ND_UsdPreviewSurface_surfaceshader", "mtlx", **inputs)
     _, shape, bsdf = drawn(stage)
     shader("Plain", "UsdPreviewSurface", "universal", **inputs)
@@ -329,24 +287,12 @@ def test_omnisurface_is_drawn_by_its_constants(quad, kind, mode, nits):
     stage, shader = quad
     chosen = {} if mode is None else {"emission_mode": mode}
     mdl(
-        shader,
-        "OmniSurface.mdl",
-        kind,
-        diffuse_reflection_weight=0.5,
-        diffuse_reflection_color=(0.8, 0.4, 0.2),
-        metalness=0.25,
-        specular_reflection_roughness=0.3,
-        specular_reflection_ior=1.4,
-        specular_reflection_ior_preset=99,
-        coat_weight=0.6,
-        emission_weight=0.5,
-        emission_intensity=40.0,
-        emission_color=(1.0, 0.5, 0.25),
-        specular_transmission_weight=1.0,
-        geometry_opacity=0.3,
-        geometry_normal=(0, 0, 0),
-        **chosen,
-    )
+        shader, "OmniSurface.mdl", kind, diffuse_reflection_weight=0.5, diffuse_reflection_color=(0.8, 0.4, 0.2),
+        metalness=0.25, specular_reflection_roughness=0.3, specular_reflection_ior=1.4,
+        specular_reflection_ior_preset=99, coat_weight=0.6, emission_weight=0.5, emission_intensity=40.0,
+        emission_color=(1.0, 0.5, 0.25), specular_transmission_weight=1.0, geometry_opacity=0.3,
+        geometry_normal=(0, 0, 0), **chosen,
+    )  # fmt: skip
     scene, shape, bsdf = drawn(stage)
     inner = bsdf["bsdf"]
     assert bsdf["type"] == "twosided"
@@ -361,17 +307,10 @@ def test_omnisurface_is_glass_and_cut_out_where_it_is_switched_on(quad, tmp_path
     stage, shader = quad
     write(tmp_path / "a.png", CODES)
     mdl(
-        shader,
-        "OmniSurface.mdl",
-        "OmniSurface",
-        enable_specular_transmission=True,
-        specular_transmission_weight=1.0,
-        specular_reflection_roughness=0.4,
-        specular_reflection_ior_preset=3,
-        enable_opacity=True,
-        geometry_opacity=0.3,
+        shader, "OmniSurface.mdl", "OmniSurface", enable_specular_transmission=True, specular_transmission_weight=1.0,
+        specular_reflection_roughness=0.4, specular_reflection_ior_preset=3, enable_opacity=True, geometry_opacity=0.3,
         diffuse_reflection_color_image=tmp_path / "a.png",
-    )
+    )  # fmt: skip
     scene, _, bsdf = drawn(stage)
     assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", pytest.approx(0.3), "roughdielectric")
     assert bsdf["bsdf"]["alpha"] == pytest.approx(0.16)
@@ -403,17 +342,10 @@ def test_omnipbr_constants_count_where_they_are_switched_on(quad, on):
     """Opacity and emission wait for their switches; intensity times colour is the radiance."""
     stage, shader = quad
     mdl(
-        shader,
-        "OmniPBR.mdl",
-        "OmniPBR",
-        diffuse_color_constant=(0.1, 0.2, 0.3),
-        reflection_roughness_constant=0.7,
-        opacity_constant=0.25,
-        enable_opacity=on,
-        emissive_color=(1, 0.5, 0),
-        emissive_intensity=200.0,
+        shader, "OmniPBR.mdl", "OmniPBR", diffuse_color_constant=(0.1, 0.2, 0.3), reflection_roughness_constant=0.7,
+        opacity_constant=0.25, enable_opacity=on, emissive_color=(1, 0.5, 0), emissive_intensity=200.0,
         enable_emission=on,
-    )
+    )  # fmt: skip
     _, shape, bsdf = drawn(stage)
     assert bsdf["type"] == ("mask" if on else "twosided") and ("emitter" in shape) is on
     inner = bsdf["bsdf"]["bsdf"] if on else bsdf["bsdf"]
@@ -428,15 +360,9 @@ def test_omnipbr_pictures_are_read(quad, tmp_path):
     write(tmp_path / "a.png", CODES)
     write(tmp_path / "orm.png", CODES[::-1].copy())
     mdl(
-        shader,
-        "OmniPBR.mdl",
-        "OmniPBR",
-        diffuse_texture=tmp_path / "a.png",
-        diffuse_tint=(0.5, 1, 1),
-        ORM_texture=tmp_path / "orm.png",
-        enable_ORM_texture=True,
-        texture_scale=(2, 2),
-    )
+        shader, "OmniPBR.mdl", "OmniPBR", diffuse_texture=tmp_path / "a.png", diffuse_tint=(0.5, 1, 1),
+        ORM_texture=tmp_path / "orm.png", enable_ORM_texture=True, texture_scale=(2, 2),
+    )  # fmt: skip
     _, shape, bsdf = drawn(stage)
     np.testing.assert_allclose(bsdf["bsdf"]["base_color"]["bitmap"], linear(CODES) * [0.5, 1, 1], rtol=1e-5)
     np.testing.assert_allclose(bsdf["bsdf"]["roughness"]["bitmap"][..., 0], CODES[::-1, :, 1] / 255, rtol=1e-6)
@@ -452,25 +378,12 @@ def test_omnipbr_changes_its_pictures_as_its_formulas_say(quad, tmp_path):
     write(tmp_path / "a.png", CODES)
     file = tmp_path / "a.png"
     mdl(
-        shader,
-        "OmniPBR.mdl",
-        "OmniPBR",
-        diffuse_texture=file,
-        albedo_brightness=0.5,
-        albedo_add=0.1,
-        albedo_desaturation=0.25,
-        diffuse_tint=(0.5, 1, 1),
-        reflectionroughness_texture=file,
-        reflection_roughness_texture_influence=0.75,
-        reflection_roughness_constant=0.4,
-        specular_level=0.25,
-        enable_emission=True,
-        emissive_mask_texture=file,
-        emissive_color=(1, 0.5, 0),
-        emissive_intensity=10.0,
-        normalmap_texture=file,
-        bump_factor=0.5,
-    )
+        shader, "OmniPBR.mdl", "OmniPBR", diffuse_texture=file, albedo_brightness=0.5, albedo_add=0.1,
+        albedo_desaturation=0.25, diffuse_tint=(0.5, 1, 1), reflectionroughness_texture=file,
+        reflection_roughness_texture_influence=0.75, reflection_roughness_constant=0.4, specular_level=0.25,
+        enable_emission=True, emissive_mask_texture=file, emissive_color=(1, 0.5, 0), emissive_intensity=10.0,
+        normalmap_texture=file, bump_factor=0.5,
+    )  # fmt: skip
     _, shape, bsdf = drawn(stage)
     normals, bsdf = bsdf["bsdf"]["normalmap"]["bitmap"], bsdf["bsdf"]["bsdf"]
     bright = linear(CODES) * 0.5 + 0.1
@@ -543,14 +456,9 @@ def test_each_texture_is_looked_up_by_its_own_transform(quad, tmp_path):
     inputs = {}
     for name, key, output in (("A", "diffuseColor", "rgb"), ("B", "roughness", "g")):
         picture = shader(
-            f"Picture{name}",
-            "UsdUVTexture",
-            file=tmp_path / f"{name.lower()}.png",
-            sourceColorSpace="raw",
-            st=reader_of(shader, name, **turns[name]),
-            wrapS="repeat",
-            wrapT="repeat",
-        )
+            f"Picture{name}", "UsdUVTexture", file=tmp_path / f"{name.lower()}.png", sourceColorSpace="raw",
+            st=reader_of(shader, name, **turns[name]), wrapS="repeat", wrapT="repeat",
+        )  # fmt: skip
         inputs[key] = picture.CreateOutput(output, TYPES.Float3)
     shader("Surface", "UsdPreviewSurface", "universal", **inputs)
     scene, shape, bsdf = drawn(stage)

@@ -43,18 +43,9 @@ def test_the_schema_is_read_whole(empty):
     """Visibility, contrast and profile in metres; the base is the lowest point of the boundary."""
     stage = empty(metres_per_unit=0.01)
     fog_box(
-        stage,
-        "/Fog",
-        (0, 0, 500),
-        1000.0,
-        mor=80.0,
-        contrast=0.02,
-        albedo=0.99,
-        g=0.8,
-        profile="exponential",
-        scaleHeight=25.0,
-        priority=3.0,
-    )
+        stage, "/Fog", (0, 0, 500), 1000.0, mor=80.0, contrast=0.02, albedo=0.99, g=0.8, profile="exponential",
+        scaleHeight=25.0, priority=3.0,
+    )  # fmt: skip
     (volume,) = translate(stage).fog
     np.testing.assert_allclose(volume.medium.sigma_t_per_m, 3.912023 / 80.0, rtol=1e-6)  # -ln 0.02
     np.testing.assert_allclose(volume.medium.visibility_m, 80.0)

@@ -103,13 +103,9 @@ def test_the_nearest_label_names_a_thing(empty):
     UsdGeom.Cube.Define(stage, "/Bench/Leg")
     UsdGeom.Cube.Define(stage, "/Stone")
     assert list(named(translate(stage)).values()) == [
-        ("/Car", "car"),
-        ("/Car", "car"),
-        ("/Car/Plate", "license plate"),
-        ("/Bench", "unlabeled"),
-        ("/Bench", "unlabeled"),
-        ("/Stone", "unlabeled"),
-    ]
+        ("/Car", "car"), ("/Car", "car"), ("/Car/Plate", "license plate"), ("/Bench", "unlabeled"),
+        ("/Bench", "unlabeled"), ("/Stone", "unlabeled"),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name, kind, value", [

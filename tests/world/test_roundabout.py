@@ -38,18 +38,9 @@ def spec(seed):
 def plain(radius=18.0, corner_m=15.0, headings=(180.0, 250.0, 5.0, 95.0), apron=1.5, hills=0.0):
     lines = [ReferenceLine(160.0, origin=(0.0, 0.0, heading)) for heading in headings]
     return roundabout(
-        lines,
-        radius=radius,
-        ring_m=6.0,
-        apron=apron,
-        mound=1.0,
-        lane_m=3.4,
-        half_island=1.6,
-        pavement=2.5,
-        zebra_m=8.0,
-        corner_m=corner_m,
-        land=Land(hills, 1),
-    )
+        lines, radius=radius, ring_m=6.0, apron=apron, mound=1.0, lane_m=3.4, half_island=1.6, pavement=2.5,
+        zebra_m=8.0, corner_m=corner_m, land=Land(hills, 1),
+    )  # fmt: skip
 
 
 def ground_triangles(junction, beside=True):
