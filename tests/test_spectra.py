@@ -6,7 +6,7 @@ import pytest
 
 from synfog_usd.base import photometry, spectra
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.world.materials import PAINTS, PALETTE
+from synfog_usd.world.materials import PAINTS
 
 NM = photometry.WAVELENGTHS_NM
 
@@ -94,26 +94,6 @@ def test_paint_has_exactly_its_colour_and_one_edge_or_bump(rgb):
     assert 0.0 < curve.min() < curve.max() < 1.0
 
 
-def test_a_named_spectrum_in_a_materials_colour_keeps_its_bands():
-    """D65 shows the colour to 1e-6; the red edge and the dips of blood stay where they are."""
-    for name, rgb in (("leaf", PALETTE["leaf_green"].colour), ("skin", PALETTE["skin"].colour)):
-        curve = spectra.tinted(spectra.reflectance(name), rgb)
-        np.testing.assert_allclose(spectra.rgb_of(curve), rgb, atol=1e-6)
-    steep = (NM >= 680) & (NM <= 750)
-    green = spectra.tinted(spectra.reflectance("leaf"), PALETTE["leaf_green"].colour)
-    assert 690 <= NM[steep][np.gradient(green)[steep].argmax()] <= 730
-    assert at(green, 700) > 2.0 * at(green, 670)
-    for dip in (542, 577):
-        assert at(curve, dip) < min(at(curve, dip - 14), at(curve, dip + 14))
-
-
-def test_a_shape_is_scaled_to_a_brightness_and_never_above_white():
-    """Luminance under D65, where there is room for it."""
-    curve = spectra.scaled(spectra.reflectance("leaf"), (0.05, 0.1, 0.02))
-    assert spectra.brightness(spectra.rgb_of(curve)) == pytest.approx(spectra.brightness((0.05, 0.1, 0.02)), rel=1e-6)
-    assert spectra.scaled(spectra.reflectance("leaf"), (1.0, 1.0, 1.0)).max() == 1.0
-
-
 @pytest.mark.parametrize(
     "name, table",
     [("HPS", "HP1"), ("HP1", "HP1"), ("LED", "LED-B3"), ("LED-B5", "LED-B5"), ("A", "A"), ("FL11", "FL11")],
@@ -149,17 +129,3 @@ def test_unknown_names_are_refused_with_the_nearest():
         spectra.reflectance("leav")
     with pytest.raises(ParameterError, match="Did you mean 'LED-B3'"):
         spectra.emission("LED-B33")
-
-
-MATERIALS = {name: material for name, material in PALETTE.items() if material.spectrum}
-
-
-@pytest.mark.parametrize("name", list(MATERIALS))
-def test_materials_of_the_palette_have_spectra_of_about_their_colour(name):
-    """Where the colour is not a texture's: within 0.05 in x and y of what D65 shows of the spectrum."""
-    material = MATERIALS[name]
-    assert material.spectrum in (spectra.PAINT, *spectra.TABLE)
-    if material.texture or material.spectrum == spectra.PAINT or material.spectrum.startswith("sheeting"):
-        return
-    wanted = colour.XYZ_to_xy(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ @ np.array(material.colour))
-    np.testing.assert_allclose(chromaticity(spectra.reflectance(material.spectrum)), wanted, atol=0.05)

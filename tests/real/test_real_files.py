@@ -226,22 +226,6 @@ def test_models_have_the_size_of_cars_and_people(parked):
     assert 15.0 < instances["Van"]["distance_m"] - 4.6 / 2 < 22.0 and 6.0 < instances["Cesium"]["distance_m"] < 7.5
 
 
-def test_transmittance_among_them_is_the_closed_form(parked):
-    """exp(-2.996 d / 150 m) to every surface, and through what is left of the box behind which there is sky."""
-    out, _ = parked
-    layers = layers_of(out, "authored/authored")
-    way = length_in(
-        (-60, -40, -10),
-        (60, 160, 50),
-        (0, 0, 1.5),
-        rays((90, 160), (0.18 / 0.35, 0.10125 / 0.35), pitch_deg=-2.0),
-        layers["distance.Z"],
-    )
-    np.testing.assert_allclose(layers["transmittance.Y"], 0.05 ** (way / 150.0), **TRANSMITTANCE)
-    surface = np.isfinite(layers["distance.Z"])
-    np.testing.assert_allclose(way[surface], layers["distance.Z"][surface], rtol=1e-6)  # all of it stands in the fog
-
-
 def test_the_picture_of_them_is_right_way_up_and_not_brighter_than_the_sky(parked):
     """Sky in the top rows and road in the bottom rows; nothing shines but a sky of 1000 nits, so nothing is brighter,
     and fog veils the distance.

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from support.looks import SQUARE, TYPES, fill, put, shade
 
 from synfog_usd.translate import translate
@@ -199,18 +199,6 @@ def test_a_constant_that_is_no_colour_is_told(empty, square, at, name):
     assert sorted(told) == [f"/A{k}/Mesh" for k in range(len(NO_COLOURS))]
 
 
-def test_what_is_not_constant_is_not_inherited_and_hides_what_is_above(empty, square, only_shape):
-    """As FindPrimvarWithInheritance of OpenUSD has it."""
-    stage = empty()
-    for path, interpolation in (("/A", "constant"), ("/A/B", "vertex")):
-        prim = UsdGeom.Xform.Define(stage, path).GetPrim()
-        UsdGeom.PrimvarsAPI(prim).CreatePrimvar("displayColor", TYPES.Color3fArray, interpolation).Set([RED])
-    prim = square(stage, "/A/B/Mesh")
-    assert not UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
-    scene = translate(stage)
-    assert color_of(scene, only_shape(scene)) == (0.18,) * 3
-
-
 @pytest.mark.parametrize("interpolation, count", [("vertex", 4), ("varying", 4), ("uniform", 1), ("faceVarying", 4)])
 @pytest.mark.parametrize("kind, width", [(TYPES.FloatArray, 1), (TYPES.IntArray, 1), (TYPES.Color4fArray, 4)])
 def test_values_that_vary_have_any_numeric_type(empty, square, only_shape, interpolation, count, kind, width):
@@ -273,17 +261,6 @@ def test_a_constant_that_moves_is_that_of_the_frame(empty, square, only_shape):
     for frame, wanted in ((1, RED), (2, (0.5, 0.0, 0.5)), (3, BLUE)):
         scene = translate(stage, frame=frame)
         assert color_of(scene, only_shape(scene)) == wanted
-
-
-def test_subsets_read_the_primvars_of_their_mesh(empty, polygon_mesh):
-    stage = empty()
-    points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)]
-    mesh = polygon_mesh(stage, "/Mesh", points, [3, 3], [0, 1, 2, 0, 2, 3])
-    mesh.GetPrim().CreateAttribute("primvars:tint", TYPES.Color3f, custom=True).Set(BLUE)
-    subset = UsdShade.MaterialBindingAPI(mesh).CreateMaterialBindSubset("Part", [1])
-    bind(subset.GetPrim(), reading(stage, "UsdPrimvarReader_float3", "tint"))
-    scene = translate(stage)
-    assert [color_of(scene, scene.world[f"shape_{n}"]) for n in range(2)] == [BLUE, (0.18,) * 3]
 
 
 @pytest.mark.parametrize("at", ["/Placed", "/Above", "/Car", "/Car/Body"])
@@ -351,30 +328,6 @@ def test_an_instancer_gives_one_value_to_all_and_values_by_index(empty, square):
     assert found == {f"/Points[{n}]": color for n, color in enumerate([BLUE, RED, RED, BLUE])}
 
 
-@pytest.mark.parametrize("inner", [None, [BLUE, GREEN]])
-def test_instancers_within_instancers(empty, square, inner, name="tint"):
-    """A shape takes the value of its own point of the nearest instancer that has any."""
-    stage = empty()
-    outer = UsdGeom.PointInstancer.Define(stage, "/Outer")
-    made = UsdGeom.PointInstancer.Define(stage, "/Outer/Inner")
-    proto = square(stage, "/Outer/Inner/Proto")
-    for one, target, far in ((outer, "/Outer/Inner", 10.0), (made, "/Outer/Inner/Proto", 2.0)):
-        one.CreatePrototypesRel().AddTarget(target)
-        fill(one, protoIndices=[0, 0], positions=[(0, 0, 0), (far, 0, 0)])
-    UsdGeom.PrimvarsAPI(outer).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set([RED, GREEN])
-    if inner:
-        UsdGeom.PrimvarsAPI(made).CreatePrimvar(name, TYPES.Color3fArray, "vertex").Set(inner)
-    bind(proto, reading(stage, "UsdPrimvarReader_float3", name))
-    scene = translate(stage)
-    found = {
-        float(part["to_world"][0, 3]): color_of(scene, scene.world[part["shapegroup"]["id"]]["shape_0"])
-        for key, part in scene.world.items()
-        if key.startswith("instance_")
-    }
-    first, second = inner or [RED, RED], inner or [GREEN, GREEN]
-    assert found == {0.0: first[0], 2.0: first[1], 10.0: second[0], 12.0: second[1]}
-
-
 @pytest.mark.parametrize("frame, place", [(None, 10.0), (7, 15.0), (9, 20.0)])
 def test_a_stage_without_a_first_frame_is_drawn_at_its_first_sample(empty, square, only_shape, frame, place):
     """Samples at 5 and 9 and no default: the place is the first's, not the origin."""
@@ -392,21 +345,6 @@ def test_a_stage_without_a_first_frame_is_drawn_at_its_first_sample(empty, squar
     shape = only_shape(translate(stage, frame=frame))
     assert shape["positions"][:, 0].min() == pytest.approx(place)
     assert shape["positions"][:, 2].min() == pytest.approx(1.0 + (place - 10.0) / 5.0)
-
-
-def test_visibility_and_purpose_at_the_frame(empty, square):
-    """Proxies are not drawn, what is for rendering below them is; samples of visibility count at the frame."""
-    stage = empty()
-    UsdGeom.Xform.Define(stage, "/Proxy").CreatePurposeAttr("proxy")
-    for path, purpose in (("/Proxy/A", None), ("/Proxy/B", "render"), ("/C", "guide"), ("/D", None), ("/E", None)):
-        shape = UsdGeom.Imageable(square(stage, path))
-        if purpose:
-            shape.CreatePurposeAttr(purpose)
-        if path in ("/D", "/E"):
-            shape.CreateVisibilityAttr().Set("invisible" if path == "/D" else "inherited", 1)
-            shape.CreateVisibilityAttr().Set("inherited" if path == "/D" else "invisible", 5)
-    assert [instance.path for instance in translate(stage, frame=1).instances] == ["/Proxy/B", "/E"]
-    assert [instance.path for instance in translate(stage, frame=5).instances] == ["/Proxy/B", "/D"]
 
 
 @pytest.mark.parametrize("colors", [[BLUE], [RED, BLUE, RED, BLUE]])
@@ -458,28 +396,6 @@ def test_what_is_double_sided_shines_from_both(empty, polygon_mesh, points, indi
             ways.append(np.cross(b - a, c - a).sum(axis=0) / 2)
         np.testing.assert_allclose(ways, [[0, -4, 0], [0, 4, 0]], atol=1e-6)
         assert lit[1]["positions"][:, 1].min() > lit[0]["positions"][:, 1].max()
-
-
-@pytest.mark.parametrize("light, fluxes", [(False, 2), (True, 1)])
-def test_a_plane_shines_from_both_sides_by_default(empty, light, fluxes):
-    """UsdGeomPlane is doubleSided unless it says otherwise; a light by MeshLightAPI has its front alone, and a note."""
-    stage = empty()
-    plane = UsdGeom.Plane.Define(stage, "/Plane")
-    if light:
-        UsdLux.MeshLightAPI.Apply(plane.GetPrim())
-        UsdLux.LightAPI(plane.GetPrim()).CreateIntensityAttr(10)
-    else:
-        material = paint(stage, "/Lit", RED)
-        glow = UsdShade.Shader(stage.GetPrimAtPath("/Lit/Surface")).CreateInput("emissiveColor", TYPES.Color3f)
-        glow.Set((10, 10, 10))
-        bind(plane.GetPrim(), material)
-    scene = translate(stage)
-    assert sum(scene.flux_of.values()) == pytest.approx(fluxes * np.pi * 10 * 4.0, rel=1e-6)
-    assert ["front alone" in note.text for note in scene.notes if note.path == "/Plane"] == [True] * light
-    plane.CreateDoubleSidedAttr(False)
-    scene = translate(stage)
-    assert sum(scene.flux_of.values()) == pytest.approx(np.pi * 10 * 4.0, rel=1e-6)
-    assert not [note for note in scene.notes if note.path == "/Plane"]
 
 
 @pytest.mark.parametrize("primvar, kind, node, wanted", [

@@ -213,25 +213,6 @@ def reading(stage, curves, name):
 
 
 @pytest.mark.parametrize("kind", ["BasisCurves", "Points"])
-def test_widths_as_a_primvar_come_first(empty, only_shape, kind):
-    """primvars:widths, indexed, before widths."""
-    stage = empty()
-    prim = stage.DefinePrim("/Curves", kind)
-    prim.GetAttribute("points").Set([(0, 5, 0), (3, 5, 0)])
-    prim.GetAttribute("widths").Set([9.0])
-    if kind == "BasisCurves":
-        prim.GetAttribute("curveVertexCounts").Set([2])
-        prim.GetAttribute("type").Set("linear")
-    widths = UsdGeom.PrimvarsAPI(prim).CreatePrimvar("widths", Sdf.ValueTypeNames.FloatArray, "vertex")
-    widths.Set([0.4, 0.2])
-    widths.SetIndices([1, 0])
-    shape = only_shape(translate(stage))
-    right = shape["positions"][:, 0] > 1.5
-    extents = [np.ptp(shape["positions"][side][:, 2]) for side in (~right, right)]
-    assert extents[1] / extents[0] == pytest.approx(2.0, rel=1e-5) and extents[0] == pytest.approx(0.2, rel=0.1)
-
-
-@pytest.mark.parametrize("kind", ["BasisCurves", "Points"])
 @pytest.mark.parametrize("own, wanted_m", [(None, 0.4), ([2.0], 2.0)])
 def test_constant_widths_come_from_above_where_a_prim_has_none(empty, only_shape, kind, own, wanted_m):
     """As any constant primvar; a width of the prim's own comes first."""

@@ -63,33 +63,6 @@ def test_a_dome_is_told_in_words_and_the_night_with_the_factor_that_makes_it_noo
         assert 1.8e4 < outdoors(translate(stage, light_scale=factor)).ground_lux < 2.6e4
 
 
-def test_a_dim_sun_is_made_noon_by_its_lux(empty):
-    """Also beside a sky; what was multiplied already counts."""
-    stage = empty()
-    sun(stage, 2.0)
-    sky(stage, 0.1)
-    assert "; --sun-lux 80000 makes it noon" in str(outdoors(translate(stage)))
-    stage = empty()
-    sky(stage, 1.0)
-    assert "--light-scale 6000 makes" in outdoors(translate(stage, light_scale=10.0)).sentence(10.0)
-
-
-def test_lamps_alone_are_told(empty, polygon_mesh):
-    """A lamp, or a surface that shines, also in an instance; and nothing at all."""
-    assert str(outdoors(translate(empty()))) == "nothing shines"
-    stage = empty()
-    lamp = UsdLux.SphereLight.Define(stage, "/Lamp")
-    assert str(outdoors(translate(stage))) == "lamps alone shine, without sun and sky"
-    stage.RemovePrim(lamp.GetPath())
-    stage.CreateClassPrim("/Kit")
-    quad = polygon_mesh(stage, "/Kit/Glow", [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1)], [4], [0, 1, 2, 3])
-    UsdLux.MeshLightAPI.Apply(quad.GetPrim())
-    shape = UsdGeom.Xform.Define(stage, "/One")
-    shape.GetPrim().GetReferences().AddInternalReference("/Kit")
-    shape.GetPrim().SetInstanceable(True)
-    assert "lamps alone" in str(outdoors(translate(stage)))
-
-
 def test_a_sky_map_counts_by_the_cosine_of_its_upper_half(empty, tmp_path):
     """1000 nits above and 1e6 below the horizon: pi 1000 lux, the lower half's light falls on no ground."""
     pixels = np.full((64, 128, 3), 1000.0, dtype=np.float32)

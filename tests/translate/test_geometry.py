@@ -89,18 +89,6 @@ def test_long_outlines_are_covered_once(shape, n=4_000):
     )
 
 
-@pytest.mark.parametrize("order", [[0, 1, 3, 2], [0, 3, 1, 4, 2, 5]])
-def test_outlines_that_cross_themselves_are_told(empty, polygon_mesh, order):
-    """A bow tie and a tangled hexagon: drawn as well as they can be."""
-    n = len(order)
-    angle = 2 * np.pi * np.array(order) / n + 0.3
-    stage = empty()
-    polygon_mesh(stage, "/Bow", [(float(np.cos(a)), 5.0, float(np.sin(a))) for a in angle], [n], list(range(n)))
-    assert "1 of its faces, number 0 first, have edges that cross" in " ".join(
-        note.text for note in translate(stage).notes
-    )
-
-
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("left_handed", [False, True])
 def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_handed):

@@ -165,14 +165,6 @@ def test_the_top_of_a_dome_map_is_its_pole(empty, tmp_path, up, kind, pole, want
     np.testing.assert_allclose(sky["bitmap"], pixels * [3.0, 1.5, 6.0], rtol=1e-5)
 
 
-def test_a_missing_sky_map_is_noted_and_leaves_its_colour(empty):
-    stage = empty()
-    UsdLux.DomeLight.Define(stage, "/Sky").CreateTextureFileAttr("./nowhere.exr")
-    scene = translate(stage)
-    assert scene.world["light_sky"]["type"] == "constant"
-    assert any(note.path == "/Sky" and "nowhere.exr" in note.text for note in scene.notes)
-
-
 def test_flux_goes_with_intensity_and_the_sky_has_no_end(empty):
     """Spheres of 1 : 9 in intensity are 1 : 9 in flux; what shines from all around has none that could be told."""
     stage = empty()

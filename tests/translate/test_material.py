@@ -22,13 +22,10 @@ def quad(empty, polygon_mesh):
     return stage, UsdShade.Shader.Get(stage, "/Material/Surface")
 
 
-def textured(stage, surface, name, file, channel="rgb", *, st=True, transform=None, **inputs):
+def textured(stage, surface, name, file, channel="rgb", *, st=True, **inputs):
     more = {}
     if st:
         more["st"] = shade(stage, "/Material/Reader", "UsdPrimvarReader_float2", "result", TYPES.Float2, varname="st")
-    if transform:
-        turn = {"in": more["st"], **transform}
-        more["st"] = shade(stage, "/Material/Turn", "UsdTransform2d", "result", TYPES.Float2, **turn)
     wraps = {"wrapS": "repeat", "wrapT": "repeat"}
     gives = TYPES.Float3 if channel == "rgb" else TYPES.Float
     path = f"/Material/{name}Picture"
@@ -151,25 +148,6 @@ def test_a_picture_that_is_missing_or_broken_is_its_fallback_and_a_note(quad, tm
     assert any(name in note.text and note.severity == "warning" for note in scene.notes)
 
 
-def test_texture_transform_scales_turns_and_shifts_in_that_order(quad, tmp_path):
-    """UsdTransform2d: in * scale, rotated counter-clockwise, + translation."""
-    stage, surface = quad
-    write(tmp_path / "a.png", CODES[..., :3])
-    textured(
-        stage,
-        surface,
-        "diffuseColor",
-        tmp_path / "a.png",
-        transform={"scale": (2, 3), "rotation": 90.0, "translation": (0.25, 0.5)},
-    )
-    _, shape, _ = drawn(stage)
-    by_corner = {
-        tuple(np.round(p[[0, 2]]).astype(int)): uv for p, uv in zip(shape["positions"], shape["texcoords"], strict=True)
-    }
-    for (u, v), found in by_corner.items():
-        np.testing.assert_allclose(found, [-3 * v + 0.25, 2 * u + 0.5], atol=1e-6)
-
-
 def test_a_mesh_without_the_coordinates_that_its_material_reads_is_noted(quad, tmp_path):
     stage, surface = quad
     write(tmp_path / "a.png", CODES[..., :3])
@@ -190,14 +168,6 @@ def test_pictures_inside_a_usdz_are_read(quad, tmp_path):
     (tmp_path / "a.png").unlink()
     _, _, bsdf = drawn(Usd.Stage.Open(str(tmp_path / "quad.usdz")))
     np.testing.assert_array_equal(bsdf["bsdf"]["base_color"]["bitmap"], CODES[..., :3])
-
-
-def test_an_unknown_shader_is_grey_and_noted(quad):
-    stage, surface = quad
-    surface.GetIdAttr().Set("arnold:standard_surface")
-    scene, _, bsdf = drawn(stage)
-    np.testing.assert_allclose(bsdf["bsdf"]["reflectance"]["value"], 0.18)
-    assert any(note.path == "/Material" and "arnold:standard_surface" in note.text for note in scene.notes)
 
 
 def test_a_shining_picture_is_radiance_times_its_scale(quad, tmp_path):

@@ -130,34 +130,6 @@ def test_a_file_draws_as_the_same_preview_surface(tmp_path):
     np.testing.assert_equal(shape, same_shape)
 
 
-def test_a_gltf_surface_in_a_file_takes_both_outputs_of_its_picture(tmp_path):
-    """As converters from glTF write it: colour by outcolor, alpha by outa."""
-    write(tmp_path / "look/a.png", CODES)
-    scene, _, bsdf = drawn(
-        open_stage(
-            placed(
-                tmp_path,
-                """<materialx version="1.39" colorspace="lin_rec709">
-                <gltf_colorimage name="i" type="multioutput">
-                  <input name="file" type="filename" value="a.png" colorspace="srgb_texture"/>
-                  <input name="color" type="color4" value="1, 1, 1, 0.25"/>
-                </gltf_colorimage>
-                <gltf_pbr name="shine" type="surfaceshader">
-                  <input name="base_color" type="color3" nodename="i" output="outcolor"/>
-                  <input name="alpha" type="float" nodename="i" output="outa"/>
-                  <input name="alpha_mode" type="integer" value="2"/>
-                </gltf_pbr>
-                <surfacematerial name="Car" type="material">
-                  <input name="surfaceshader" type="surfaceshader" nodename="shine"/>
-                </surfacematerial></materialx>""",
-            )
-        )
-    )
-    assert (told(scene), bsdf["type"]) == ([], "mask")
-    np.testing.assert_allclose(bsdf["opacity"]["bitmap"], np.full((4, 4, 1), 0.25))
-    np.testing.assert_allclose(bsdf["bsdf"]["bsdf"]["base_color"]["bitmap"], linear(CODES), rtol=1e-5)
-
-
 def test_colours_of_other_spaces_are_made_linear_rec709(tmp_path):
     """ACEScg white is white, and its red by colour-science's matrix; sRGB constants are decoded."""
     colour = pytest.importorskip("colour")
@@ -489,25 +461,6 @@ def test_a_node_changes_each_pixel_as_its_formula_says(quad, kind):
     out = shader("Node2", f"ND_{kind}_color3", **{name.get(kind, "in"): tuple(X[0, 0]), **inputs})
     bsdf = finish(base_color=out)[2]
     np.testing.assert_allclose(bsdf["base_color"]["value"], np.clip(formula(X[:1, :1])[0, 0], 0, 1), atol=1e-5)
-
-
-def test_two_pictures_are_mixed_by_the_channel_of_a_third(quad):
-    """Through separate and convert, of other sizes too."""
-    shader, picture, finish = quad
-    mask = UsdShade.Shader(shader("Apart", "ND_separate3_color3", in_=picture()).GetPrim())
-    out = shader(
-        "Mix",
-        "ND_mix_color3",
-        fg=shader("Dark", "ND_multiply_color3FA", in1=picture("Other", "b.png"), in2=0.5),
-        bg=(0.1, 0.2, 0.3),
-        mix=mask.CreateOutput("outg", TYPES.Float),
-    )
-    scene, _, bsdf = finish(base_color=out)
-    m = X[..., 1:2]
-    np.testing.assert_allclose(
-        bsdf["base_color"]["bitmap"], m * X * 0.5 + (1 - m) * np.array([0.1, 0.2, 0.3]), atol=1e-5
-    )
-    assert told(scene) == []
 
 
 @pytest.mark.parametrize("kind, inputs, mean", [

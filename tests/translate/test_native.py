@@ -10,7 +10,7 @@ from support.looks import TYPES, fill, write
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.dataset import check as verb
-from synfog_usd.render.load import make_bsdf, refusal, to_mitsuba
+from synfog_usd.render.load import refusal, to_mitsuba
 from synfog_usd.translate import translate
 
 RED = [0.5, 0.0, 0.0]
@@ -212,18 +212,3 @@ def test_a_bake_draws_a_stage_with_all_of_them(folder, tmp_path):
     assert run("check", path, "--strict").returncode == verb.WARNINGS_UNDER_STRICT
     strict = run("bake", path, "--out", tmp_path / "strict", *small, "--strict")
     assert strict.returncode == verb.WARNINGS_UNDER_STRICT and "is not drawn: " in strict.stderr
-
-
-@pytest.mark.parametrize("name", ["bumps", "normals", "squares", "cut out"])
-def test_a_mesh_without_coordinates_has_the_texel_of_the_corner(folder, name):
-    """As a reader of st gives (0, 0) where there is none; bumps and normals are left out."""
-    scene, shape, bsdf = drawn(stage_of(folder, [DRAWN[name]], coordinates=False), refusal=refusal)
-    assert "texcoords" not in shape
-    if name in ("bumps", "normals"):
-        assert bsdf == {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}
-    elif name == "squares":
-        assert bsdf["reflectance"] == {"type": "rgb", "value": [1.0, 0.0, 0.0]}
-    else:
-        assert isinstance(bsdf["opacity"], float)
-    make_bsdf(bsdf)
-    assert [note for note in scene.notes if "without the texture coordinates" in note.text]

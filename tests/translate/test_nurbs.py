@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import UsdGeom
 from scipy.interpolate import BSpline
-from support.looks import fill, painted, picture_of, with_st, write
+from support.looks import fill
 
 from synfog_usd.translate import translate
 
@@ -119,24 +119,6 @@ def test_a_cubic_patch_is_bernsteins(empty, only_shape):
     basis = np.array([comb(3, k) * t**k * (1 - t) ** (3 - k) for k in range(4)])
     wanted = np.einsum("iu,jv,jic->vuc", basis, basis, points)
     np.testing.assert_allclose(shape["positions"], wanted.reshape(-1, 3), atol=1e-5)
-
-
-@pytest.mark.parametrize("authored", [False, True])
-def test_a_patch_wears_pictures_by_its_parameters_or_its_own_coordinates(empty, only_shape, tmp_path, authored):
-    """On a flat patch evenly spaced points make u and v even: coordinates are the place, or twice that where each point
-    has them.
-    """
-    stage = empty()
-    places = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0)]
-    prim = patch(stage, [(x, 5, z) for x, z in places], (2, 2), (2, 2), ([0, 0, 1, 1],) * 2)
-    if authored:
-        with_st(prim, [(2 * x, 2 * z) for x, z in places])
-    write(tmp_path / "a.png", np.eye(2, dtype=np.uint8)[..., None].repeat(3, axis=2))
-    painted(prim.GetPrim(), diffuseColor=picture_of(stage, tmp_path / "a.png", wrapS="repeat", wrapT="repeat"))
-    scene = translate(stage)
-    shape = only_shape(scene)
-    np.testing.assert_allclose(shape["texcoords"], (2 if authored else 1) * shape["positions"][:, [0, 2]], atol=1e-6)
-    assert scene.world[shape["bsdf"]["id"]]["bsdf"]["base_color"]["type"] == "bitmap"
 
 
 def test_a_patch_that_does_not_fit_or_is_trimmed_is_told(empty):

@@ -74,17 +74,6 @@ def test_corners_of_a_cube_by_sharpness(level, sharpness, corner):
     np.testing.assert_allclose(fine.points[:8], BOX * corner, rtol=1e-12)
 
 
-@pytest.mark.parametrize("scheme", [subdivide, loop])
-def test_points_of_a_cage_that_is_not_divided_lie_where_dividing_puts_them(scheme):
-    """The first points of any level are those of the cage, and the limit surface is one."""
-    faces = QUADS if scheme is subdivide else np.concatenate([QUADS[:, :3], QUADS[:, [0, 2, 3]]])
-    cage = Cage(np.full(len(faces), faces.shape[1]), faces.reshape(-1))
-    points = BOX + 0.2 * np.random.default_rng(4).normal(size=BOX.shape)
-    at_once, divided = (scheme.subdivided(points, cage, level).points for level in (0, 3))
-    np.testing.assert_allclose(at_once, divided[:8], rtol=0, atol=1e-12)
-    assert np.abs(at_once - points).max() > 0.2
-
-
 def test_a_sharp_corner_stays(level=3):
     """One infinitely sharp point of a cube is met; the opposite one is as smooth as without it."""
     fine = subdivided(BOX, cube(corners=np.array([7]), corner_sharpness=np.array([10.0])), level)

@@ -259,16 +259,6 @@ def test_nested_instances_stay_instances(empty, polygon_mesh):
     assert {path for path, _ in named(scene).values()} == {"/Place0", "/Place1", "/Place2"}
 
 
-@pytest.mark.parametrize("scale", [(0, 1, 1), (float("nan"), 1, 1), (float("inf"), 1, 1)])
-def test_shapes_of_no_size_are_noted(empty, scale):
-    stage = empty()
-    for path, kind in (("/Box", "Cube"), ("/Ball", "Sphere"), ("/Lamp", "SphereLight")):
-        UsdGeom.Xformable(stage.DefinePrim(path, kind)).AddScaleOp().Set(scale)
-    scene = translate(stage)
-    assert summary(scene)["shapes"] == 0
-    assert {"/Box", "/Ball", "/Lamp"} <= {note.path for note in scene.notes}
-
-
 def test_prototypes_under_an_over_are_drawn_and_masked(empty, polygon_mesh):
     """An `over` hides prototypes from everything but their instancer; ids 11 and 13 are masked, one for good and one
     for now.

@@ -107,26 +107,6 @@ def test_a_low_beam_keeps_to_the_points_of_the_regulation(name):
     assert 20_000 <= at(*np.meshgrid(np.linspace(-3, 4, 29), np.linspace(-3, 0, 31))).max() <= 30_000
 
 
-@pytest.mark.parametrize("name", LOW)
-def test_the_cut_off_is_level_and_then_rises_at_fifteen_degrees(name):
-    """It lies where lg I falls fastest: R112's gradient G = lg I(b) - lg I(b + 0.1), 0.13 to 0.40 at 2.5 degrees
-    left.
-    """
-    at = ahead(SHIPPED / f"{name}.ies")
-    up = np.arange(-1.5, 2.6, 0.02)
-
-    def edge(right):
-        drop = np.log10(at(np.full(up.shape, right), up)) - np.log10(at(np.full(up.shape, right), up + 0.1))
-        return up[drop.argmax()] + 0.05, drop.max()
-
-    assert 0.13 <= edge(-2.5)[1] <= 0.40
-    left = [edge(x)[0] for x in (-4.0, -3.0, -2.0, -1.0)]
-    assert np.ptp(left) <= 0.15  # level, within the file's steps
-    right = np.array([1.5, 3.0, 4.5, 6.0])
-    rise = np.polyfit(right, [edge(x)[0] for x in right], 1)[0]
-    assert np.degrees(np.arctan(rise)) == pytest.approx(15.0, abs=1.5)
-
-
 @pytest.mark.parametrize("name", [n for n in BEAMS if n.startswith("high_beam")])
 def test_a_high_beam_is_brightest_ahead(name):
     """UN Regulation 112, class B: 40 500 to 215 000 cd, HV within 80 % of the greatest, 20 250 cd at 2.6 and 5 100 at
@@ -153,19 +133,6 @@ def test_street_lanterns_are_of_the_type_they_state(name, least, greatest):
     assert 2.25 <= along[peak] < 3.75
     medium = (along >= 2.25) & (along < 3.75) & (grid >= grid.max() / 2)
     assert least < across[medium].max() <= greatest
-
-
-def test_lanterns_shine_little_where_they_should_not():
-    """Of 1000 lm of the lamp: full cut-off none at 90 degrees and 100 cd from 80; cut-off 25 and 100 cd (IES RP-8)."""
-    h = np.arange(0.0, 360.0, 2.0)
-    full, cut, around = (
-        sampler(SHIPPED / f"{name}.ies")
-        for name in ("street_led_60w", "street_sodium_150w", "street_metal_halide_100w")
-    )
-    assert full(90.0, h).max() == 0 and full(80.0, h).max() <= 100 * 8.0
-    assert cut(90.0, h).max() <= 25 * 17.5 and cut(80.0, h).max() <= 100 * 17.5
-    assert around(90.0, h).max() == 0 and around(80.0, h).max() <= 100 * 9.0
-    assert np.ptp(around(60.0, h)) < 1e-9
 
 
 @pytest.mark.parametrize("name", BEAMS)

@@ -22,7 +22,6 @@ from synfog_usd.world.roads import horizon, land, markings, rules, surface
 from synfog_usd.world.roads.lane_section import KERB_M, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
-from synfog_usd.world.spec import Placement, View
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "stages" / "recipes"
@@ -237,28 +236,6 @@ def test_wheels_touch_the_road_on_slopes(name):
                 )
         checked += 1
     assert checked >= 4
-
-
-def test_a_bus_hides_a_car_and_a_crest_hides_both():
-    """Straight ahead a car is seen whole; with a bus before it, not at all."""
-    flat = Road(ReferenceLine(300.0), LaneSection.from_widths([("lane", 3.5, -1), ("lane", 3.5, 1)]))
-    view = View(0.0, 0.0, 1.45, 90.0, 0.0)
-
-    def seen(placed, road=flat):
-        return rules.visible_shares(view, 55.0, placed, road, within_m=100.0)
-
-    car = Placement("Vehicles", "Car", "saloon", 0.0, 60.0, 0.0, z=0.0)
-    bus = Placement("Vehicles", "Bus", "bus", 0.0, 30.0, 0.0, z=0.0)
-    assert seen([car]) == {"Car": 1.0}
-    assert seen([car, bus])["Car"] == 0.0 and seen([car, bus])["Bus"] == 1.0
-    assert seen([Placement("Vehicles", "Far", "saloon", 0.0, 120.0, 0.0, z=0.0)]) == {}
-    assert seen([Placement("Vehicles", "Aside", "saloon", 40.0, 50.0, 0.0, z=0.0)]) == {}
-    crest = Road(
-        ReferenceLine(300.0, slope=((0.0, 0.0), (10.0, 0.12), (30.0, 0.12), (50.0, -0.12), (120.0, -0.12))),
-        flat.lane_section,
-    )
-    low = Placement("Vehicles", "Car", "saloon", 0.0, 90.0, 0.0, z=float(crest.reference_line.height(90.0)))
-    assert seen([low], crest)["Car"] == 0.0
 
 
 @pytest.mark.parametrize("name, seed", [("arterial", 0), ("residential", 1), ("rural", 1)])
