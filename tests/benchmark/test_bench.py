@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import textwrap
 from pathlib import Path
@@ -16,12 +15,12 @@ from PIL import Image
 from support import cli
 
 from synfog_usd.base import seeds
-from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.lab.benchmark import bench as runs
-from synfog_usd.lab.benchmark import defog, metrics, page
+from synfog_usd.lab.benchmark import defog, page
 from synfog_usd.lab.benchmark.bench import GIVE_UP
 from synfog_usd.lab.benchmark.methods import chosen
-from synfog_usd.lab.benchmark.pairs import Pair, find, truth_of
+from synfog_usd.lab.benchmark.pairs import find
 from synfog_usd.lab.benchmark.statistics import mean, ranks
 
 
@@ -96,29 +95,6 @@ def test_pairs_of_a_bake_are_its_fogs_against_its_clear_air(tmp_path):
     assert found[0].files["raw.dng"] == tmp_path / "a" / "mor150" / "raw.dng"
 
 
-@pytest.mark.parametrize(
-    ("manifest", "views", "folders"),
-    [("rig.json", "cameras", ("Left", "Right")), ("sequence.json", "frames", ("000000", "000001"))],
-)
-def test_pairs_of_a_rig_and_of_frames_are_those_of_each_bake(tmp_path, manifest, views, folders):
-    """Each view against its own clear air; views of one lighting are of one scene."""
-    shots = [{"lighting": "sky", "fog": fog, "folder": f"sky/{fog}", "files": ["srgb.png"]} for fog in ("clear", "f")]
-    for place in folders:
-        for row in shots:
-            (tmp_path / place / row["folder"]).mkdir(parents=True)
-            (tmp_path / place / row["folder"] / "srgb.png").touch()
-        (tmp_path / place / "bake.json").write_text(json.dumps({"shots": shots}), encoding="utf-8")
-    rows = [{"number": number, "folder": place} for number, place in enumerate(folders)]
-    (tmp_path / manifest).write_text(json.dumps({views: rows}), encoding="utf-8")
-    assert [(pair.name, pair.scene, pair.clear) for pair in find(tmp_path)] == [
-        (f"{place}_sky_f", "sky", tmp_path / place / "sky/clear/srgb.png") for place in folders
-    ]
-    assert truth_of(tmp_path / folders[1] / "sky/f") == tmp_path / folders[1] / "sky/clear/srgb.png"
-    (tmp_path / manifest).write_text(json.dumps({views: 1}), encoding="utf-8")
-    with pytest.raises(ParameterError, match=f"{manifest}: is no manifest of a bake"):
-        find(tmp_path)
-
-
 def test_one_picture_is_compared_as_the_bench_compares_it(tmp_path):
     """The foggy picture against its shot has what `benchmark defog --methods none` tells of that pair, every metric;
     any picture is compared with the clear one of the shot, or with the picture that is named.
@@ -186,65 +162,6 @@ def test_the_bench_measures_and_goes_on_and_gives_the_same_numbers(tmp_path, fol
         assert sheet.width > 3 * 300
 
 
-def test_the_table_by_fog_has_intervals_over_scenes():
-    """200 scenes whose PSNR at MOR 150 is normal, 17 +- 2 dB: its interval is that of a mean, 2 * 1.96 * 2 / sqrt(200)
-    wide within a fifth; a fog in which all are alike has none.
-    """
-    drawn = 17.0 + 2.0 * seeds.stream(3, "fogs").standard_normal(200)
-    pairs, rows, none = [], {}, chosen(["none"])[0]
-    for scene, value in enumerate(drawn):
-        for fog, psnr in (("mor600", 22.0), ("mor150", value)):
-            pairs.append(Pair(f"{scene:03d}-{fog}", f"{scene:03d}", fog, Path(), Path()))
-            rows[none.version, pairs[-1].name] = dict.fromkeys(metrics.usable(), psnr)
-    found = runs.Bench(pairs, [none], rows)
-    line = page.markdown(found, page.rows(found)).split("by fog:")[1].splitlines()[4]
-    assert "| 22.00 (22.00 to 22.00) |" in line
-    middle, low, high = map(float, re.search(r"\| ([\d.]+) \(([\d.]+) to ([\d.]+)\) \|$", line).groups())
-    assert middle == pytest.approx(drawn.mean(), abs=0.005)
-    assert high - low == pytest.approx(2 * 1.96 * 2.0 / np.sqrt(200), rel=0.2)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.torch.jit")
-def test_torch_modules_are_methods(tmp_path, folder):
-    """Halves, as torch.export and TorchScript save them; a pair of tensors and weights alone lose their own row."""
-    torch = pytest.importorskip("torch")
-
-    class Half(torch.nn.Module):
-        def forward(self, x: torch.Tensor) -> torch.Tensor:
-            return 0.5 * x
-
-    class Two(torch.nn.Module):
-        def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            return x, x
-
-    free = {2: torch.export.Dim("h", min=2), 3: torch.export.Dim("w", min=2)}
-    exported = torch.export.export(Half(), (torch.zeros(1, 3, 8, 12),), dynamic_shapes={"x": free})
-    torch.export.save(exported, tmp_path / "half.pt2")
-    torch.jit.save(torch.jit.trace(Half(), torch.zeros(1, 3, 8, 12)), tmp_path / "half.pt")
-    torch.jit.save(torch.jit.trace(Two(), torch.zeros(1, 3, 8, 12)), tmp_path / "two.pt")
-    torch.save(torch.nn.Conv2d(3, 3, 1).state_dict(), tmp_path / "weights.pt")
-    network(tmp_path / "half.onnx", gain=0.5)
-    own = methods(
-        tmp_path,
-        """
-        - {name: onnx, onnx: half.onnx}
-        - {name: export, torch: half.pt2}
-        - {name: script, torch: half.pt}
-        - {name: two, torch: two.pt}
-        - {name: weights, torch: weights.pt}
-        """,
-    )
-    done = defog.run(find(folder)[:2], chosen([str(own)]), tmp_path / "out")
-    found = {method.name: means["psnr"].value for method, _, means in page.rows(done)}
-    assert found["export"] == found["script"] == found["onnx"]
-    assert "two" not in found and "weights" not in found
-    page.write(done, page.rows(done), tmp_path / "out")
-    table = (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
-    assert "the module gave a tuple, and not a tensor" in table
-    assert "weights.pt is no module of torch.jit.save" in table
-
-
 @pytest.mark.slow
 def test_methods_that_fail_cost_their_own_row_only(tmp_path, folder):
     """One dies, one hangs, one answers NaN, one another size, one wants another size; the rest is measured."""
@@ -301,21 +218,6 @@ def test_a_picture_that_cannot_be_read_costs_its_own_pair_only(tmp_path, folder)
         assert sheet.width > 2 * 300
 
 
-def test_pictures_too_small_for_ssim_are_measured_by_the_rest():
-    small, large = (np.full((side, 40, 3), 100, dtype=np.uint8) for side in (10, 11))
-    assert set(metrics.measure(large, large)) - set(metrics.measure(small, small)) == {"ssim"}
-
-
-def test_a_folder_that_cannot_be_written_is_told_before_the_first_answer(tmp_path, folder):
-    (tmp_path / "file").write_text("")
-    count = tmp_path / "count"
-    words = [sys.executable, "-c", f"open({str(count)!r}, 'a').write('x')", "{in}", "{out}"]
-    own = methods(tmp_path, f"- {{name: slow, command: {json.dumps(words)}}}\n")
-    with pytest.raises(OutputError, match="cannot be written"):
-        defog.run(find(folder), chosen([str(own)]), tmp_path / "file" / "out")
-    assert not count.exists()
-
-
 def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, folder):
     count = tmp_path / "count"
     words = [sys.executable, "-c", f"open({str(count)!r}, 'a').write('x'); raise SystemExit(3)", "{in}", "{out}"]
@@ -325,28 +227,6 @@ def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, fo
     assert len(count.read_text(encoding="utf-8")) == GIVE_UP
     assert len(told) == GIVE_UP + 1 and "asked no more" in told[-1]  # one line for all that it is not asked
     assert sum("not asked" in why for why in bench.failures(bench.methods[0]).values()) == 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("more", "beside"), [("", False), (", at_once: 3", True)])
-def test_a_command_is_asked_side_by_side_only_where_it_says_so(tmp_path, folder, monkeypatch, more, beside):
-    """Each call writes when it began and ended; three lanes, whatever this machine has.  Rows stand as pairs do."""
-    monkeypatch.setattr(runs, "cores", lambda: 3)
-    code = (
-        "import sys, shutil, time; a = time.time(); shutil.copy(sys.argv[1], sys.argv[2]); time.sleep(1.0);"
-        f" open({str(tmp_path / 'log')!r}, 'a').write(f'{{a}} {{time.time()}}\\n')"
-    )
-    own = methods(
-        tmp_path, f"- {{name: slow, command: {json.dumps([sys.executable, '-c', code, '{in}', '{out}'])}{more}}}\n"
-    )
-    pairs, chose = find(folder), chosen([str(own)])
-    bench = defog.run(pairs, chose, tmp_path / "out")
-    spans = [tuple(map(float, line.split())) for line in (tmp_path / "log").read_text(encoding="utf-8").splitlines()]
-    assert len(spans) == len(pairs)
-    assert (max(sum(begin <= other < end for begin, end in spans) for other, _ in spans) > 1) == beside
-    told = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-    assert list(told.values()) == [bench.row(chose[0], pair) for pair in pairs]
-    assert chosen([str(own)])[0].version == chose[0].version
 
 
 @pytest.mark.slow
@@ -374,15 +254,10 @@ def test_rows_of_an_interrupted_run_are_kept_and_end_as_those_of_one_that_was_no
     [
         ("- dpc\n", "method 'dpc' is not known; it can be none, dcp, cap, fvr"),
         ("- {name: a, onnx: none.onnx}\n", "none.onnx: no such file"),
-        ("- {name: a}\n", "needs one of onnx: FILE, torch: FILE and command: [WORDS]"),
-        ("- {name: a, command: [true]}\n", "command is a list of words"),
-        ("- {name: a, command: ['true', '{in}']}\n", "a command names {in}"),
-        ("- {name: a, command: [no-such-program-here, '{in}', '{out}']}\n", "no such program"),
         (
             "- {name: a, command: ['true', '{in}', '{out}'], timeout_s: soon}\n",
             "timeout_s is 'soon'; it takes a number",
         ),
-        ("- {name: a, command: ['true', '{in}', '{out}'], at_once: 0}\n", "at_once is 0; it takes a number, 1 to 1024"),
         ("- {name: a, comand: [x]}\n", "has no 'comand'; it takes"),
         ("- dcp\n- dcp\n", "two methods are called 'dcp'"),
     ],
@@ -422,8 +297,3 @@ def test_ranks_tie_what_may_be_chance():
     c = {pair: value - 2.0 + float(rng.normal(0, 0.5)) for pair, value in a.items()}
     assert ranks({"a": a, "b": b, "c": c}, scenes, higher=True) == {"a": 1, "b": 1, "c": 3}
     assert ranks({"a": a, "c": c}, scenes, higher=False) == {"a": 2, "c": 1}
-
-
-def test_the_first_metric_decides_and_all_have_a_source():
-    assert next(iter(metrics.METRICS)) == "psnr"
-    assert all(metric.source for metric in metrics.METRICS.values())

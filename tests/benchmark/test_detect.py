@@ -22,7 +22,6 @@ from synfog_usd.base.image import Quantity
 from synfog_usd.camera import writers
 from synfog_usd.lab.benchmark import coco, decode, detect, detectors
 from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, TrueBox
-from synfog_usd.lab.benchmark.methods import chosen as defoggers
 
 WIDE, HIGH = 64, 48
 THINGS = (
@@ -182,60 +181,6 @@ def test_a_picture_is_given_as_the_file_says():
     assert session.fed["sizes"].tolist() == [[64, 64]]
 
 
-def test_boxes_on_each_other_are_thinned_class_by_class():
-    """Of three boxes in a row with overlaps of 9/11 and 1/3 the second goes; another class's stays."""
-    row = np.array([[0.0, 0, 10, 10], [1.0, 0, 11, 10], [6.0, 0, 16, 10]])
-    assert decode.suppressed(row, 0.65).tolist() == [0, 2]
-    assert decode.suppressed(row, 0.9).tolist() == [0, 1, 2]
-    table = np.zeros((1, 7, 8), dtype=np.float32)
-    table[0, :4, :3] = [[5, 6, 11], [5, 5, 5], [10, 10, 10], [10, 10, 10]]
-    table[0, 4, :3], table[0, 6, 1] = (0.9, 0.8, 0.7), 0.6
-    found = decode.detector(detector(layout="yolov8", letterbox=False), Session(out=table))(
-        np.zeros((32, 32, 3), np.uint8)
-    )
-    assert [(box[0], box[5]) for box in found] == [(0.0, 0), (6.0, 0), (1.0, 2)]
-
-
-@pytest.mark.parametrize(
-    ("layout", "answers", "words"),
-    [
-        ("yolov5", {"out": np.zeros((1, 9))}, r"the network gave out \(1, 9\); the layout yolov5 has \(1, N, 5"),
-        ("yolov8", {"out": np.zeros((1, 84, 8))}, "has 3 classes, as classes says; 80 were found"),
-        ("detr", {"boxes": np.zeros((1, 5, 4)), "logits": np.zeros((1, 6, 4))}, "the layout detr has logits"),
-        ("rtdetr", {"logits": np.full((1, 5, 3), np.nan), "boxes": np.zeros((1, 5, 4))}, "NaN or infinity"),
-        ("yolov8", {"out": np.full((1, 7, 8), np.nan)}, "NaN or infinity"),
-        (
-            "boxes",
-            {"boxes": np.zeros((3, 4)), "scores": np.zeros(2), "labels": np.zeros(3, int)},
-            "the layout boxes has",
-        ),
-        (
-            "boxes",
-            {"boxes": np.zeros((3, 5)), "scores": np.zeros(3), "labels": np.zeros(3, int)},
-            "the layout boxes has",
-        ),
-    ],
-)
-def test_outputs_of_another_layout_are_told(layout, answers, words):
-    find = decode.detector(detector(layout=layout), Session(**answers))
-    with pytest.raises(ValueError, match=words):
-        find(np.zeros((32, 32, 3), np.uint8))
-
-
-@pytest.mark.parametrize(
-    ("session", "words"),
-    [
-        (Session((1, 4, 64, 64)), "it must take a picture"),
-        (Session((1, 10)), "it must take a picture"),
-        (Session((1, 3, 64, 32)), "the network takes 32 x 64, and size says 64 x 64"),
-        (Session((1, 3, 64, 64), kind="tensor(double)"), r"takes tensor\(double\); float, float16 and uint8"),
-    ],
-)
-def test_a_network_that_takes_something_else_is_told(session, words):
-    with pytest.raises(ValueError, match=words):
-        decode.detector(detector(size=(64, 64)), session)
-
-
 # -- scores
 
 
@@ -254,12 +199,6 @@ def test_average_precision_is_that_worked_by_hand():
     (group,) = scored(true, found).groups
     np.testing.assert_allclose(coco.precision(group, np.ones((1, 1))), (34 + 33 * 2 / 3) / 101)
     np.testing.assert_allclose(coco.recall(group, np.ones((1, 1))), 2 / 3)
-
-
-def test_a_shifted_box_counts_up_to_its_overlap():
-    """A box of 10 x 10 that is 2 px beside its thing overlaps by 8/12: right at 0.50 to 0.65, wrong from 0.70 on."""
-    (group,) = scored([TrueBox(0, 0, (0, 0, 10, 10), 1.0)], [FoundBox(0, 0, (2, 0, 10, 10), 0.9, 1.0)]).groups
-    assert coco.precision(group, np.ones((1, 1)))[0].tolist() == [1.0] * 4 + [0.0] * 6
 
 
 def some(pictures, seed):
@@ -400,17 +339,6 @@ def test_what_no_camera_can_see_is_no_miss_and_no_false_alarm(baked, tmp_path):
     assert found.one(detect.ALL, "AP").low is None  # one scene
 
 
-def test_things_of_few_pixels_can_be_left_out(baked):
-    """18 pixels are those of the far person: with --least-px 19 it is no miss."""
-    pytest.importorskip("pycocotools")
-    views = detect.find(baked)[:1]
-    run = detect.DetectorRun(detectors.Detector("d", "onnx", classes=((0, ("person",)),), version="v"))
-    near = next(thing for thing in views[0].things if thing.id == 3)
-    bench = detect.Bench(views, [run], {("v", views[0].name): {"boxes": [[*near.box, 0.9, 0, 20.0]]}})
-    assert one(detect.scores(bench, run), detect.ALL, "AR") == pytest.approx(0.5)
-    assert one(detect.scores(bench, run, least_px=19), detect.ALL, "AR") == pytest.approx(1.0)
-
-
 def test_the_command_scores_and_goes_on_and_gives_the_same_numbers(baked, tmp_path):
     """One detector that finds all and one that misses the far ones; nothing is asked twice."""
     pytest.importorskip("pycocotools")
@@ -447,29 +375,6 @@ def test_the_command_scores_and_goes_on_and_gives_the_same_numbers(baked, tmp_pa
     assert "| 1 | near | what fog leaves |" in table and "3 of 3" in table and "MOR 50 to 100 m" in table
     with Image.open(out / "pictures.png") as sheet:
         assert sheet.width > 3 * 300
-
-
-def test_a_detector_can_look_through_a_defogger(baked, tmp_path):
-    """The defogger's picture is what the detector gets: a command of each, of which one writes what it was handed."""
-    pytest.importorskip("pycocotools")
-    white = (
-        "import sys; from PIL import Image; Image.new('RGB', Image.open(sys.argv[1]).size, 'white').save(sys.argv[2])"
-    )
-    finds = (
-        "import json, sys; from PIL import Image; im = Image.open(sys.argv[1]).convert('L'); "
-        "json.dump([[4, 20, 20, 12, 0.9, 2]] if im.getextrema() == (255, 255) else [], open(sys.argv[2], 'w'))"
-    )
-    first = tmp_path / "white.yaml"
-    words = json.dumps([sys.executable, "-c", white, "{in}", "{out}"])
-    first.write_text(f"synfog: benchmark/1\nmethods:\n  - {{name: white, command: {words}}}\n", encoding="utf-8")
-    words = json.dumps([sys.executable, "-c", finds, "{in}", "{out}"])
-    own = declared(tmp_path, f"- {{name: finds, command: {words}, classes: {{car: 2}}}}\n")
-    (found,), (before,) = detectors.chosen([str(own)]), defoggers([str(first)])
-    runs = [detect.DetectorRun(found), detect.DetectorRun(found, before)]
-    bench = detect.run(detect.find(baked)[:1], runs, tmp_path / "out")
-    plain, after = (bench.row(run, bench.items[0])["boxes"] for run in runs)
-    assert plain == [] and after == [[4, 20, 20, 12, 0.9, 2, 15.0]]
-    assert [run.name for run in runs] == ["finds", "finds after white"]
 
 
 @pytest.mark.slow
@@ -532,25 +437,12 @@ def test_a_source_without_pictures_or_things_is_refused(baked, tmp_path):
     ("text", "words"),
     [
         ("- yolo\n", "a detector is a mapping"),
-        (
-            "- {name: a, onnx: a.onnx, layout: yolov8}\n",
-            "a detector needs classes: coco80, coco91, a list or a mapping",
-        ),
-        ("- {name: a, onnx: a.onnx, classes: coco80}\n", "a network needs a layout, one of yolov5, yolov8, detr"),
         ("- {name: a, onnx: a.onnx, layout: yolo, classes: coco80}\n", "layout is 'yolo'; it is one of yolov5"),
-        ("- {name: a, onnx: a.onnx, layout: boxes, classes: coco}\n", "classes is 'coco'; it is coco80, coco91"),
         (
             "- {name: a, onnx: a.onnx, layout: boxes, classes: [persn]}\n",
             "'persn' is no label of Cityscapes. Did you mean",
         ),
-        ("- {name: a, onnx: a.onnx, layout: boxes, classes: [car, car]}\n", "'car' is covered by two classes"),
-        ("- {name: a, onnx: a.onnx, layout: boxes, classes: {car: a}}\n", "'a' is no number of a class"),
-        ("- {name: a, onnx: a.onnx, layout: boxes, classes: [null]}\n", "classes names no label"),
         ("- {name: a, onnx: a.onnx, layout: boxes, classes: [car], size: 640}\n", "size is 640; it takes 2 numbers"),
-        (
-            "- {name: a, onnx: a.onnx, layout: boxes, classes: [car], letterbox: 1}\n",
-            "letterbox is 1; it is one of true",
-        ),
         ("- {name: a, onnx: a.onnx, layout: boxes, classes: [car]}\n", "a.onnx: no such file"),
     ],
 )
@@ -558,63 +450,3 @@ def test_faults_of_a_file_of_detectors_are_one_line_with_its_place(tmp_path, tex
     with pytest.raises(ParameterError) as found:
         detectors.chosen([str(declared(tmp_path, text))])
     assert words in str(found.value) and "\n" not in str(found.value) and "detectors.yaml:" in str(found.value)
-
-
-def street(scene: int, things: int) -> detect.FoggedView:
-    """A view of a scene in clear air, of cars beside each other."""
-    key = (scene, "all", "s", 1, "sky", "", "clear", None, "phone")
-    boxes = [detect.LabelledThing(n, "car", (20.0 * n, 0.0, 10.0, 10.0), 100, 30.0, "visible") for n in range(things)]
-    return detect.FoggedView(detect.LabelledPicture(*key, {}), Path("none.png"), tuple(boxes))
-
-
-def test_detectors_share_a_rank_where_chance_may_have_made_the_difference():
-    """Of 12 scenes one detector finds all cars, one half of them in every scene, one all but one of the last scene.
-
-    The second is worse in each scene.  The third is worse in one: in 0.35 of draws that scene is not there, so the
-    interval of the difference holds 0.  Of two scenes nothing is said.
-    """
-    pytest.importorskip("pycocotools")
-    views = [street(scene, 4) for scene in range(12)]
-    runs = [
-        detect.DetectorRun(detectors.Detector(name, "onnx", classes=((0, ("car",)),), version=name))
-        for name in ("whole", "half", "nearly")
-    ]
-    bench = detect.Bench(views, runs)
-    for view in views:
-        rows = [[*thing.box, 0.9, 0, 30.0] for thing in view.things]
-        cut = len(rows) - (view is views[-1])
-        for name, found in (("whole", rows), ("half", rows[:2]), ("nearly", rows[:cut])):
-            bench.rows[name, view.name] = {"boxes": found}
-    assert detect.ranks(bench, runs) == {"whole": 1, "nearly": 1, "half": 3}
-    told = detect.scores(bench, runs[1]).one(detect.ALL, "AP")
-    assert told.value == told.low == told.high == pytest.approx(51 / 101)  # the same in every scene
-    bench.items = views[:2]
-    assert detect.scores(bench, runs[1]).one(detect.ALL, "AP").low is None
-    assert set(detect.ranks(bench, runs).values()) == {1}
-
-
-def test_what_a_detector_finds_more_has_the_interval_of_a_share():
-    """Of 60 scenes with a car each, one detector finds 40 and the other those and 12 more: sure boxes, none wrong, so
-    AP is the share that is found, by steps of 1 / 101.  The share of 12 in 60 has a standard error of sqrt(pq / n),
-    0.052; that of two shares drawn apart, 0.078.  An end over 400 draws is known to a tenth of the interval.
-    """
-    pytest.importorskip("pycocotools")
-    views = [street(scene, 1) for scene in range(60)]
-    runs = [
-        detect.DetectorRun(detectors.Detector(name, "onnx", classes=((0, ("car",)),), version=name))
-        for name in ("some", "more")
-    ]
-    bench = detect.Bench(views, runs)
-    for scene, view in enumerate(views):
-        rows = [[*thing.box, 0.9, 0, 30.0] for thing in view.things]
-        bench.rows["some", view.name] = {"boxes": rows if scene < 40 else []}
-        bench.rows["more", view.name] = {"boxes": rows if scene < 52 else []}
-    told = detect.gains(bench, runs)["more"]
-    assert [(row.counts, row.group, row.things) for row in told[:2]] == [
-        (detect.ALL, "", 60),
-        (detect.ALL, "clear", 60),
-    ]
-    ends = 12 / 60 + 1.96 * np.sqrt(0.2 * 0.8 / 60) * np.array([-1, 1])
-    for row in told:
-        assert row.value == pytest.approx(0.2, abs=1 / 101)
-        np.testing.assert_allclose([row.low, row.high], ends, atol=0.02)

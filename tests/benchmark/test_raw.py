@@ -30,7 +30,7 @@ def mosaic(path: Path, pattern: str, shape=(24, 32)) -> np.ndarray:
     return np.array([1000.0, 2000.0, 2100.0, 500.0]) / (told["white_level_dn"] - told["black_level_dn"])
 
 
-@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
 def test_planes_are_the_filters_of_the_mosaic_balanced_by_the_files_white(tmp_path, pattern):
     """Black 0, white 1, over what a white surface has behind R, G and B; the last from the camera's matrix."""
     linear = mosaic(tmp_path / "raw.dng", pattern)

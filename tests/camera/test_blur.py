@@ -134,21 +134,6 @@ def test_the_tail_of_a_headlight_is_the_discs_and_not_the_transforms_noise():
     np.testing.assert_allclose((out - 1.0)[::7, ::7][ring], expected, rtol=0.02)
 
 
-@pytest.mark.parametrize("defocused", [False, True])
-def test_light_from_outside_the_picture_is_its_mirror_image(defocused):
-    """Nine mirrored copies of a picture with lamps at its corner, at its edge and within: the middle one is alike."""
-    plane = texture(0.2, (44, 60))
-    plane[0, 0], plane[20, 59], plane[10, 30] = 1e5, 1e5, 1e5
-    mirrored = np.pad(plane, ((44, 44), (60, 60)), mode="symmetric")
-    alone, among = (
-        blur.defocus(light(picture), focus_m=0.3, **LENS).pixels[..., 1]
-        if defocused
-        else through(picture, f_number=4.0, pitch_um=2.0)
-        for picture in (plane, mirrored)
-    )
-    np.testing.assert_allclose(among[44:88, 60:120], alone, rtol=1e-3)
-
-
 def test_thick_fog_is_left_alone_and_a_lamp_in_it_is_not():
     """Contrast 0.002 at q = 0.73: 0.002 * 0.134 * 0.73 = 0.0002 is below 0.001; with contrast 0.02 it is not."""
     fog = texture(0.002, (300, 400))

@@ -193,17 +193,6 @@ def test_colour_differences_become_medians_as_scipy_takes_them():
         np.testing.assert_array_equal(out[..., channel][inside], (pixels[..., 1] + expected)[inside])
 
 
-def test_an_edge_between_two_colours_and_a_picture_without_colours_stay():
-    pixels = np.full((20, 20, 3), (0.5, 0.1, 0.1), np.float32)
-    pixels[:, 9:] = (0.1, 0.3, 0.6)
-    np.testing.assert_allclose(false_colour(picture(pixels)).pixels, pixels, atol=1e-7)
-    grey = Image(pixels[..., :1], ("Y",), Quantity.LINEAR_RGB)
-    assert false_colour(grey) is grey
-    for shape in ((1, 1, 3), (2, 5, 3), (4, 2, 3)):
-        small = seeds.stream(4, *shape).random(shape, dtype=np.float32)
-        assert false_colour(picture(small)).pixels.shape == shape
-
-
 # ---- sharpen
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from synfog_usd import camera
 from synfog_usd.base import resources
-from synfog_usd.base.errors import GraphError, ParameterError
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import exposure as metering
 
@@ -102,30 +102,6 @@ def test_a_photographers_exposure_goes_over_the_graph_and_stays_in_the_sensors_r
     ):
         with pytest.raises(ParameterError, match=told):
             camera.exposed(phone, **words)
-
-
-def test_develop_meters_only_where_the_exposure_is_left_open(phone):
-    image = street(5000.0, 800.0)
-    metered = camera.develop(phone, {"radiance": image}, seed=0, until="adc")["adc"].provenance
-    assert metered["exposure_s"] == camera.meter(image, phone).exposure_s
-    said = camera.develop(
-        phone, {"radiance": image}, seed=0, until="adc", overrides={"expose.exposure_s": "1/250", "gain.iso": 110}
-    )["adc"].provenance
-    assert (said["exposure_s"], said["iso"]) == (1 / 250, 110.0)
-    locked = camera.develop(phone, {"radiance": image}, seed=0, until="adc", exposure=camera.Exposure(0.002, 55.0))[
-        "adc"
-    ].provenance
-    assert locked["exposure_s"] == 0.002
-
-
-def test_a_graph_that_exposes_nothing_cannot_be_metered(tmp_path):
-    path = tmp_path / "g.yaml"
-    path.write_text(
-        "synfog: graph/1\ninputs: [radiance]\nlens: pixel4a\nnodes:\n  - {op: optics.irradiance, falloff: "
-        "none}\noutputs: {a.exr: irradiance}\n"
-    )
-    with pytest.raises(GraphError, match="cannot be metered"):
-        camera.meter(street(1.0, 1.0), camera.load_graph(path))
 
 
 @pytest.fixture(scope="module")

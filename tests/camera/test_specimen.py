@@ -7,12 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd import camera
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import specimen
-from synfog_usd.camera.graph import make_graph
 
 SERIAL = "test-1"
 SIGMAS = 4.5
@@ -113,27 +111,3 @@ def test_nonlinearity_is_as_large_as_it_says_and_never_falls():
     assert (np.diff(out) > 0).all()
     with pytest.raises(ImageError, match="fewer DN for more light"):
         specimen.nonlinearity(image, inl_dn=200.0, black_level_dn=64, white_level_dn=1023)
-
-
-def test_the_shipped_phone_with_dead_pixels_has_them_mended():
-    """Of 200 x 300 grey pixels some 24 are dead or stuck; `isp.defects` leaves none, and touches hardly another.
-
-    A reading away from the rest by ten standard deviations of its noise is one of them; chance gives none.
-    """
-    broken = {"name": "dead", "op": "sensor.dead_pixels", "dead_ppm": 200, "stuck_ppm": 200, "before": "full_well"}
-    mend = {"name": "mend", "op": "isp.defects", "after": "black_level"}
-    graph = make_graph(camera.OPS, extends="phone", nodes=[broken, mend], outputs={"linear.exr": "mend"})
-    light = Image(
-        np.full((200, 300, 3), 200.0, np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 60.0}
-    )
-    settings = {"exposure_s": 0.01, "iso": 60.0}
-    run = graph.run({"radiance": light}, seed=3, settings=settings, keep=["black_level", "mend"])
-    outliers = []
-    for node in ("black_level", "mend"):
-        for row, column in np.ndindex(2, 2):
-            plane = run[node].pixels[row::2, column::2, 0]
-            middle = plane[25:75, 40:110]
-            deviation = 1.4826 * np.median(np.abs(middle - np.median(middle)))
-            outliers.append(int((np.abs(middle - np.median(middle)) > 10.0 * deviation).sum()))
-    assert sum(outliers[:4]) > 0 == sum(outliers[4:])
-    assert 10 <= run["mend"].provenance["defects_corrected"] <= 45

@@ -2,11 +2,8 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -14,32 +11,10 @@ from PIL import Image
 from support.cli import command, run
 from support.stages import street
 
-from synfog_usd.cli import preview, terminal
+from synfog_usd.cli import terminal
 
 RAMP = np.stack(np.meshgrid(np.arange(0, 250, 10), np.arange(0, 130, 10)), axis=-1)
 PICTURE = Image.fromarray(np.concatenate([RAMP, 255 - RAMP[..., :1]], axis=-1).astype(np.uint8))  # 25 x 13
-
-
-def test_half_blocks_are_the_picture():
-    """A line is two rows of pixels: the letter's colour is the upper one's, its ground the lower one's."""
-    grey = Image.fromarray(np.arange(0, 240, 20, dtype=np.uint8).reshape(4, 3)).convert("RGB")
-    lines = terminal.blocks(grey, 80).splitlines()
-    found = [re.findall(r"38;2;(\d+);\1;\1;48;2;(\d+);\2;\2m▀", line) for line in lines]
-    rows = [[int(cell[side]) for cell in line] for line in found for side in (0, 1)]
-    assert rows == np.asarray(grey)[..., 0].tolist() and all(line.endswith("\x1b[0m") for line in lines)
-    assert [len(re.findall("▀", line)) for line in terminal.blocks(PICTURE, 10).splitlines()] == [
-        10
-    ] * 3  # 5.2 rows of pixels
-
-
-def test_of_256_colours_the_nearest_is_taken():
-    """As by trying all of xterm's 240 fixed colours."""
-    levels = [0, 95, 135, 175, 215, 255]
-    table = [(r, g, b) for r in levels for g in levels for b in levels] + [(8 + 10 * n,) * 3 for n in range(24)]
-    for colour in np.random.default_rng(1).integers(0, 256, (200, 3)):
-        number = int(terminal._nearest(colour).removeprefix("5;")) - 16
-        far = np.square(np.array(table) - colour).sum(axis=1)
-        assert far[number] == far.min()
 
 
 @pytest.mark.parametrize(
@@ -47,7 +22,6 @@ def test_of_256_colours_the_nearest_is_taken():
     [
         ({"TERM": "xterm-256color", "COLORTERM": "truecolor"}, "colours"),
         ({"TERM": "screen-256color"}, "256"),
-        ({"TERM": "xterm"}, "none"),
         ({"TERM": "xterm-256color", "NO_COLOR": "1"}, "none"),
         ({"TERM": "dumb", "COLORTERM": "truecolor"}, "none"),
     ],
@@ -104,31 +78,6 @@ def test_wrong_words_are_refused(stage, tmp_path):
     """Before anything is written."""
     done = run(*small(stage, tmp_path / "out", "--terminal", "braille"))
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("how", ["in place", "renamed", "removed and made"])
-def test_a_save_is_seen_however_an_editor_does_it(tmp_path, how):
-    """Written in place, renamed over, and removed for a while; what has not changed is not told."""
-    layers = [tmp_path / name for name in ("a.usda", "b.usda")]
-    for layer in layers:
-        layer.write_text("#usda 1.0\n")
-    before = preview._state([*layers, tmp_path / "missing.usda"])
-
-    def save():
-        time.sleep(0.2)
-        if how == "in place":
-            layers[0].write_text("#usda 1.0\n\n")
-        else:
-            (tmp_path / "new").write_text("#usda 1.0\n")
-            if how == "removed and made":
-                layers[0].unlink()
-                time.sleep(0.1)
-            (tmp_path / "new").replace(layers[0])
-
-    thread = threading.Thread(target=save)
-    thread.start()
-    assert preview._next_save(before) == layers[:1]
-    thread.join()
 
 
 @pytest.mark.slow

@@ -58,24 +58,6 @@ def bits(value):
     return f"{struct.unpack('<I', struct.pack('<f', value))[0]:08x}"
 
 
-# "bunny" and "default" with their ids, and 3.36000126251e-27 for the first: the example of Cryptomatte's specification
-# 1.2.0 and the tests that its authors publish; the other four: the table of 32-bit values with seed 0 in Wikipedia's
-# "MurmurHash".
-@pytest.mark.parametrize(
-    "text, value",
-    [
-        ("", 0),
-        ("test", 0xBA6BD213),
-        ("Hello, world!", 0xC0363E43),
-        ("The quick brown fox jumps over the lazy dog", 0x2E4FF723),
-        ("bunny", 0x13851A76),
-        ("default", 0x42C9679F),
-    ],
-)
-def test_names_are_hashed_with_murmur3(text, value):
-    assert labels._murmur(text) == value
-
-
 def test_an_id_is_the_hash_read_as_a_float():
     """The published id of "bunny", to the digits that it is published with."""
     assert labels._crypto_float("bunny") == pytest.approx(3.36000126251e-27, rel=1e-11)
@@ -123,37 +105,6 @@ def test_a_surface_without_an_instance_is_unlabeled_and_not_sky(aovs):
     assert plane(image, "crypto_object00.G")[0, 0] == 0
 
 
-def test_the_matte_has_one_rank_that_its_manifest_names(aovs):
-    """Id in R and coverage in G of rank 0; the ids' bits are in the manifest, also of what is hidden; no second
-    rank.
-    """
-    image = labels.label_image(aovs, INSTANCES)
-    manifest = json.loads(image.provenance["cryptomatte/f834d0a/manifest"])
-    assert list(manifest) == [instance.path for instance in INSTANCES] and len(set(manifest.values())) == len(INSTANCES)
-    names = {int(digits, 16): path for path, digits in manifest.items()}
-    ids, coverage = plane(image, "crypto_object00.R"), plane(image, "crypto_object00.G")
-    for row, column in np.ndindex(IDS.shape):
-        at = IDS[row, column]
-        assert coverage[row, column] == (at > 0)
-        assert (names[int(bits(ids[row, column]), 16)] == INSTANCES[at - 1].path) if at else ids[row, column] == 0
-    assert not plane(image, "crypto_object00.B").any() and not plane(image, "crypto_object00.A").any()
-
-
-def test_the_matte_can_be_found_by_other_programs(aovs):
-    """Key: the first seven digits of the layer name's hash; the name is that of the channels without the rank."""
-    metadata = {
-        name: value
-        for name, value in labels.label_image(aovs, INSTANCES).provenance.items()
-        if name.startswith("cryptomatte/")
-    }
-    assert metadata.keys() == {f"cryptomatte/f834d0a/{name}" for name in ("name", "hash", "conversion", "manifest")}
-    assert metadata["cryptomatte/f834d0a/name"] == "crypto_object"
-    assert (metadata["cryptomatte/f834d0a/hash"], metadata["cryptomatte/f834d0a/conversion"]) == (
-        "MurmurHash3_32",
-        "uint32_to_float32",
-    )
-
-
 def test_another_program_finds_the_mattes_in_the_file(aovs, tmp_path):
     """As Cryptomatte's readers do: header attributes cryptomatte/<key>/name, the channels <name>00.R and .G, names from
     the manifest.
@@ -173,22 +124,6 @@ def test_another_program_finds_the_mattes_in_the_file(aovs, tmp_path):
     for instance in INSTANCES:
         matte = np.where(ids.view(np.uint32) == int(manifest[instance.path], 16), coverage, 0.0)
         np.testing.assert_array_equal(matte, instance.id == IDS)
-
-
-def test_of_very_many_instances_files_tell_those_that_the_picture_meets(aovs, monkeypatch):
-    """Ids stay what they are, and the picture's planes too."""
-    known = labels.label_list(aovs, INSTANCES)["instances"]
-    planes = labels.label_image(aovs, INSTANCES)
-    monkeypatch.setattr(labels, "MOST_TOLD", len(INSTANCES) - 1)
-    seen = [row for row in known if row["pixels"]]
-    assert 0 < len(seen) < len(known)
-    assert labels.label_list(aovs, INSTANCES)["instances"] == seen
-    behind = next(row["id"] for row in known if not row["pixels"])
-    told = labels.label_list(aovs, INSTANCES, {behind: {"amodal_pixels": 3}})["instances"]
-    assert [row["id"] for row in told] == [row["id"] for row in known]
-    fewer = labels.label_image(aovs, INSTANCES)
-    np.testing.assert_array_equal(fewer.pixels, planes.pixels)
-    assert set(json.loads(fewer.provenance["cryptomatte/f834d0a/manifest"])) == {row["path"] for row in seen}
 
 
 def test_the_list_has_a_box_around_what_is_seen(aovs):

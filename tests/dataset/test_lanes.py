@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synfog_usd.camera.distortion import Pinhole, warp_of
-from synfog_usd.dataset import labels, lanes, masks
+from synfog_usd.dataset import lanes, masks
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba
 from synfog_usd.scene import Lanelet
@@ -107,10 +107,3 @@ def test_edges_bend_as_opencv_bends_them(street):
     wanted = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(coefficients))[0][:, 0] + 0.5
     away = [np.hypot(*(wanted - place).T).min() for place in edge]
     assert len(edge) > 10 and max(away) < 0.06
-
-
-def test_only_scenes_with_lanes_have_the_channel(street):
-    seen = aovs.measure(to_mitsuba(street, boundaries=False))
-    assert labels.label_image(seen, street.instances).channels == labels.CHANNELS
-    made = labels.label_image(seen, street.instances, lanes.ids(seen, street))
-    assert made.channels[-1] == "lane.ID" and made.pixels[..., -1].max() == 4.0

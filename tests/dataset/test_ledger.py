@@ -9,27 +9,6 @@ from synfog_usd.dataset import ledger
 from synfog_usd.dataset.plan import Shot
 
 
-def test_a_manifest_of_very_many_quick_shots_is_written_less_often_and_ends_whole(tmp_path, monkeypatch):
-    """Each of the first hundred at once, the rest once in ten times as long as writing takes, and at the end."""
-    written, write = [], files.write_json
-
-    def counted(path, content):
-        written.append(len(content["shots"]))
-        write(path, content)
-
-    monkeypatch.setattr(files, "write_json", counted)
-    shots = tuple(Shot("noon", f"fog{n}", "noon", f"fog{n}") for n in range(ledger.MANY + 200))
-    kept = ledger.Ledger(tmp_path, {"seed": 1}, ())
-    for shot in shots:
-        kept.add(shot, {"folder": shot.folder, "files": {}})
-    assert written[: ledger.MANY] == list(range(1, ledger.MANY + 1))
-    assert len(written) < ledger.MANY + 100
-    kept.finish(shots, {})
-    assert len(json.loads((tmp_path / ledger.MANIFEST).read_bytes())["shots"]) == len(shots)
-    again = ledger.Ledger(tmp_path, {"seed": 1}, ())
-    assert all(again.done(shot) for shot in shots)
-
-
 def baked(out, size, shots, names=("radiance.exr", "srgb.png")):
     """A bake that was made: (ledger, what it set aside)."""
     kept = ledger.Ledger(out, {"plan": {"size_px": size}}, ())
@@ -78,15 +57,6 @@ def test_the_same_bake_moves_nothing_and_another_fog_of_it_stays_beside(tmp_path
     kept, moved = baked(tmp_path, 64, [THICK])
     assert moved == "" and kept.done(CLEAR)
     assert baked(tmp_path, 32, [CLEAR, THICK])[1] == "" and not (tmp_path / "earlier-1").exists()
-
-
-def test_outputs_of_another_pipeline_are_set_aside(tmp_path):
-    """A file that this pipeline does not write; the others are written over."""
-    baked(tmp_path, 64, [CLEAR], ("radiance.exr", "raw.dng"))
-    _, moved = baked(tmp_path, 32, [CLEAR])
-    assert moved and there(tmp_path / "sky") == ["clear/radiance.exr", "clear/srgb.png"]
-    assert (tmp_path / "earlier-1/sky/clear/raw.dng").is_file()
-    assert not (tmp_path / "earlier-1/sky/clear/radiance.exr").exists()
 
 
 def test_a_manifest_moves_no_file_that_lies_elsewhere(tmp_path):

@@ -43,17 +43,12 @@ def test_a_million_shots_are_made_only_where_they_are_named():
     assert len(planned({"fog": names[:1000]})) == 1000
 
 
-def test_a_stage_without_variants_is_one_shot_as_authored():
-    assert planned({}) == (Shot(AS_AUTHORED, AS_AUTHORED, None, None, None),)
-    assert planned({})[0].folder == "authored/authored"
-
-
 def test_what_is_asked_for_comes_once_and_in_the_asked_order():
     found = planned(lighting=("active",), fog=("mor150", "clear", "mor150"))
     assert [shot.folder for shot in found] == ["active/mor150", "active/clear"]
 
 
-@pytest.mark.parametrize("name, metres", [("mor200", 200.0), ("mor75.5", 75.5), ("mor0.5", 0.5), ("mor600", None)])
+@pytest.mark.parametrize("name, metres", [("mor75.5", 75.5), ("mor600", None)])
 def test_any_visibility_can_be_asked_for_by_its_metres(name, metres):
     """A name that the stage has is its variant; another mor<metres> replaces the visibility and leaves the stage's own
     fog selected.
@@ -70,9 +65,7 @@ def test_clear_air_needs_no_variant():
     assert variant.fog_variant == "clear" and variant.asked is None
 
 
-@pytest.mark.parametrize(
-    "name", ["mor0", "mor-5", "mor", "mor1e3", "mor15O", "MOR150", "fog", " mor150", "mor150m", "morinf"]
-)
+@pytest.mark.parametrize("name", ["mor0", "mor15O", "fog", "morinf"])
 def test_a_fog_that_nobody_knows_is_refused(name):
     """The message names it, what the stage offers, and what any stage takes."""
     with pytest.raises(ParameterError) as refusal:
@@ -107,17 +100,6 @@ def test_what_a_stage_has_without_a_choice_is_called_authored(offered):
             None,
             last,
         ]
-
-
-def test_one_wrong_name_stops_all():
-    with pytest.raises(ParameterError, match="--fog fgo"):
-        planned(fog=("clear", "fgo", "mor150"))
-
-
-@pytest.mark.parametrize("asked", [{"fog": ("clear",)}, {"fog": ("mor77",)}, {}])
-def test_every_shot_has_a_folder_of_its_own(asked):
-    folders = [shot.folder for shot in planned(**asked)]
-    assert len(set(folders)) == len(folders)
 
 
 def test_a_quality_is_a_word_and_decides_what_is_left_open():

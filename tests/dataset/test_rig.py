@@ -9,7 +9,7 @@ from support.stages import rig_stage
 
 from synfog_usd import camera, stage
 from synfog_usd.base import resources
-from synfog_usd.base.errors import OutputError, ParameterError, StageError
+from synfog_usd.base.errors import OutputError, StageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import meter
@@ -165,11 +165,6 @@ def test_several_cameras_do_not_go_beside_the_bake_of_one(tmp_path):
     (tmp_path / "bake.json").write_text("{}")
     with pytest.raises(OutputError, match="a bake of one camera lies here, and 2 cameras need"):
         bake_cameras(BakePlan(rig_stage(tmp_path), tmp_path, **SMALL), ["/World"])
-
-
-def test_another_way_of_metering_is_refused(tmp_path):
-    with pytest.raises(ParameterError, match="takes together or each"):
-        BakePlan(tmp_path / "a.usda", tmp_path, meter="both")
 
 
 @pytest.mark.slow

@@ -71,7 +71,8 @@ def shots(folder, *, seed=0, same_noise=False, cells=CELLS):
         out = folder / f"{camera}-{frame}-{seed}-{same_noise}"
         options = dict(quality="reference", samples=4, size=SIZE, bands=3, seed=seed, same_noise=same_noise)
         plan = dict(pipeline=folder / "graph.yaml", camera=CAMERAS[camera], frame=frame, model="path")
-        bake(BakePlan(stage, out, **plan, **options, lighting=("sky", "active"), fog=("clear", "mor150")))
+        lighting, fog = (tuple(dict.fromkeys(cell[axis] for cell in cells)) for axis in (2, 3))
+        bake(BakePlan(stage, out, **plan, **options, lighting=lighting, fog=fog))
         for cell in cells:
             if cell[:2] == (camera, frame):
                 at = out / cell[2] / cell[3]

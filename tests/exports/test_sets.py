@@ -10,10 +10,8 @@ from PIL import Image as Picture
 
 from synfog_usd.base import files
 from synfog_usd.dataset.exports import gallery, stats
-from synfog_usd.dataset.exports.frames import pictures
 from synfog_usd.dataset.exports.record import EXPORTERS, exporter
 from synfog_usd.dataset.exports.run import export
-from synfog_usd.lab.study.pages import scenes
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 
@@ -57,11 +55,6 @@ def out(baked, tmp_path_factory):
     return folder
 
 
-def test_every_picture_has_a_name_of_its_own(out):
-    names = [picture.name for picture in pictures(out)]
-    assert len(names) == len(set(names)) == 12 and "001001-sky-mor150-noise_free" in names
-
-
 @pytest.mark.parametrize("name", EXPORTERS)
 def test_splits_stay_apart_in_every_format(out, tmp_path, name):
     """Nothing of the test scene lies under train, nor the other way round."""
@@ -96,16 +89,6 @@ def test_ultralytics_gets_training_and_validation(out, tmp_path):
     assert (data["train"], data["val"], data["test"]) == ("images/train", "images/test", "images/test")
 
 
-def test_pipelines_of_one_shot_are_other_frames_of_cityscapes(out, tmp_path):
-    """The same sequence, frames 0 and 1, and ground truth for both."""
-    export(out, exporter("foggy-cityscapes"), tmp_path)
-    clear = sorted(path.name for path in (tmp_path / "leftImg8bit").rglob("*.png"))
-    assert clear == [
-        f"rural-sky_{scene}_{frame}_leftImg8bit.png" for scene in ("000000", "001001") for frame in ("000000", "000001")
-    ]
-    assert len(list((tmp_path / "gtFine").rglob("*_labelIds.png"))) == 4
-
-
 def test_the_gallery_has_a_row_for_each_picture_and_a_view_for_each_scene(out, tmp_path):
     assert gallery.build(out, tmp_path) == 12
     data = json.loads((tmp_path / "data" / "index.js").read_text().removeprefix("window.SYNFOG_INDEX = ")[:-2])
@@ -115,20 +98,6 @@ def test_the_gallery_has_a_row_for_each_picture_and_a_view_for_each_scene(out, t
         with Picture.open(tmp_path / "thumbs" / "000" / f"{number}.jpg") as thumb:
             assert max(thumb.size) <= gallery.THUMB_PX
     assert np.sum([path.suffix == ".js" for path in (tmp_path / "data" / "views" / "000").iterdir()]) == 2
-
-
-def test_a_sheet_has_a_tile_for_each_scene(out, tmp_path):
-    """The last picture of both scenes side by side, made smaller."""
-    assert scenes.sheet(out, tmp_path / "sheet.jpg") == 2
-    with Picture.open(tmp_path / "sheet.jpg") as sheet:
-        found = np.asarray(sheet.convert("RGB"), float)
-    width, height = scenes.TILE_PX
-    for place, unit in enumerate(("000/000000", "001/001001")):
-        with Picture.open(out / "scenes" / unit / "sky" / "sky" / "mor50" / "srgb.png") as picture:
-            wanted = np.asarray(picture.resize(scenes.TILE_PX), float)
-        left = scenes.GAP_PX + place * (width + scenes.GAP_PX)
-        tile = found[scenes.GAP_PX :, left:][:height, :width]
-        assert abs(tile.mean() - wanted.mean()) < 1.0 and np.corrcoef(tile.ravel(), wanted.ravel())[0, 1] > 0.9
 
 
 def test_radiance_that_pipelines_share_is_read_and_counted_once(out, baked):

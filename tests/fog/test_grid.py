@@ -59,28 +59,6 @@ def test_equal_voxels_are_uniform_fog():
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
 
 
-def test_two_half_grids_are_the_whole():
-    """The left half and the right half, side by side, dim as the one grid does; voxels doubled where they meet keep it
-    linear there.
-    """
-    values = np.repeat(np.random.default_rng(2).random((3, 3, 4)), 2, axis=2)
-    values[:, :, 3] = values[:, :, 4] = 0.5
-    whole = cloud(box((8.0, 4.0, 2.0)), values)
-    halves = [
-        cloud(box((4.0, 4.0, 2.0), (x, 0, 0)), half) for x, half in ((-4.0, values[:, :, :4]), (4.0, values[:, :, 4:]))
-    ]
-    origin, direction = (
-        np.array([[-10.0, 1.0, 0.5], [-10.0, -3.0, -1.0]]),
-        np.array([[1.0, 0.0, 0.0], [0.98, 0.19, 0.06]]),
-    )
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        optical_depth(halves, origin, direction, np.full(2, 50.0)),
-        optical_depth([whole], origin, direction, np.full(2, 50.0)),
-        rtol=1e-9,
-    )
-
-
 def test_axes_are_z_y_x():
     """A voxel that is dense at high z, low y and the middle of x is met only there."""
     values = np.zeros((2, 3, 5))
@@ -105,11 +83,6 @@ def test_a_bank_with_a_grid_takes_the_place_of_the_fog_around_it():
     )
     found = optical_depth([around, bank], np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.array([30.0]))
     np.testing.assert_allclose(found, 0.02 * 20 + 0.05 * 10, rtol=1e-9)
-
-
-def test_a_grid_is_no_function_of_height():
-    with pytest.raises(ParameterError, match="FogVolume"):
-        cloud(box(1.0), np.ones((1, 1, 1))).medium.optical_depth(0.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -63,30 +63,6 @@ def test_the_mean_cosine_of_droplets_is_draines(diameter):
     np.testing.assert_allclose(Droplets(diameter).mean_cosine, (1 - share) * peak + share * draine, rtol=20 * EPS64)
 
 
-@pytest.mark.parametrize("record", CLOSED, ids=str)
-def test_tables_are_fine_enough_to_be_linear(record):
-    """Between the rows a straight line errs by less than 0.06 %: (step)^2 / 8 times the relative curvature; measured
-    0.051 % at 49.9 um.
-    """
-    cosines, values = record.table()
-    assert cosines[0] == -1.0 and cosines[-1] == 1.0 and np.all(np.diff(cosines) > 0.0)
-    between = np.concatenate([cosines[:-1] + share * np.diff(cosines) for share in (0.25, 0.5, 0.75)])
-    np.testing.assert_allclose(np.interp(between, cosines, values), record.value(between), rtol=6e-4)
-
-
-def test_a_table_of_a_closed_form_has_its_moments():
-    """Tabulated Henyey-Greenstein has moments g^l within the 0.05 % of its table."""
-    np.testing.assert_allclose(
-        Tabulated(*HenyeyGreenstein(0.87).table(), "test").moments(64), 0.87 ** np.arange(64), atol=5e-4
-    )
-
-
-def test_moments_of_a_ramp_are_exact():
-    """2 + cos has moments 1, 1/6, 0, 0, ... whatever rows it is given by."""
-    np.testing.assert_allclose(ramp().moments(200), np.r_[1.0, 1 / 6, np.zeros(198)], atol=1e-7)
-    np.testing.assert_allclose(ramp().value([-1.0, 0.0, 1.0]), np.array([1, 2, 3]) / (8 * np.pi), rtol=4 * EPS64)
-
-
 @needs_mie
 def test_one_droplet_scatters_as_miepython_says():
     """Our sums over the series, weighed by one size, against its own intensities: the same curve up to a factor, to
@@ -169,13 +145,6 @@ def test_a_missing_miepython_is_named(monkeypatch):
 def test_impossible_phase_functions_are_refused(make):
     with pytest.raises(ParameterError):
         make()
-
-
-def test_fog_has_the_phase_it_was_given():
-    """`g` is the mean cosine of whatever phase function there is."""
-    assert FogMedium(0.1, g=0.5).phase_function == HenyeyGreenstein(0.5)
-    fog = FogMedium(0.1, g=0.5, phase=Droplets(10.0))
-    assert fog.phase_function == Droplets(10.0) and fog.g == Droplets(10.0).mean_cosine
 
 
 def test_extinction_over_wavelength_is_a_power():

@@ -140,13 +140,6 @@ def test_images_that_do_not_fit_are_refused_before_anything_runs(tmp_path, regis
         graph.run({"radiance": radiance.with_pixels(pixels)}, seed=0)
 
 
-def test_only_kept_images_are_returned_and_inputs_are_left_alone(tmp_path, registry, radiance):
-    copy = radiance.pixels.copy()
-    run = load(tmp_path, registry).run({"radiance": radiance}, seed=0, settings={"time_s": 1.0}, keep=["adc"])
-    assert list(run) == ["adc"]
-    np.testing.assert_array_equal(radiance.pixels, copy)
-
-
 def test_several_inputs_meet_in_one_node(tmp_path, registry, radiance):
     text = """\
 synfog: graph/1

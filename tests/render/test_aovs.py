@@ -44,15 +44,6 @@ def test_depth_is_planar_and_distance_is_along_the_ray(measured):
     assert (seen.instance_id == 1).all()
 
 
-@pytest.mark.parametrize("visibility_m", [150.0, 600.0, 2000.0])
-def test_transmittance_of_a_wall_at_50_m(visibility_m, measured):
-    """exp(-2.996 / MOR * 50 m) on the axis, and with the ray's length off it."""
-    seen = measured({"shape_wall": wall(50.0)}, [uniform_fog(visibility_m=visibility_m)], fov_x_deg=60.0)
-    np.testing.assert_allclose(
-        seen.transmittance, np.exp(np.log(0.05) / visibility_m * 50.0 / rays(fov_x_deg=60.0)[:, :, 1]), rtol=FLOAT32
-    )
-
-
 def test_fog_counts_only_between_the_camera_and_the_surface(measured):
     """Behind the wall there is more fog, and before a far box there is none."""
     ahead = FogVolume("/Fog", box((200, 10, 200), (0, 30, 0)), FogMedium(0.05))

@@ -4,28 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.parts import glow, rgb
 from support.stats import assert_agree
 
-from synfog_usd.render import backend, models
+from synfog_usd.render import models
 from synfog_usd.render.flatten import flatten
 from synfog_usd.render.lights import crowd
 from synfog_usd.render.shot import load
-from synfog_usd.scene.testing import black, scene, uniform_fog, wall
+from synfog_usd.scene.testing import black, scene, wall
+
+pytestmark = pytest.mark.usefixtures("mi")
 
 SIZE_M = 0.1
 AREA_M2 = {"sphere": 4.0 * np.pi * SIZE_M**2, "disk": np.pi * SIZE_M**2, "rectangle": 4.0 * SIZE_M**2}
 KINDS = tuple(AREA_M2)
-GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5] * 3}}
+GREY = {"type": "diffuse", "reflectance": rgb(0.5)}
 
 
-@pytest.fixture(autouse=True)
-def _vectorised():
-    backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
-
-
-def lamps(many, fog=()):
+def lamps(many):
     """Balls, disks and cards in rows that look at a wall behind them, every fourth mirrored; bright, and twice that."""
     world = {"mat_black": black()["bsdf"]}
     for n in range(many):
@@ -33,11 +29,11 @@ def lamps(many, fog=()):
         place[:3, 3] = 0.8 * (n % 10) - 3.6, 6.0 + 0.2 * (n // 50), 0.8 * (n // 10 % 5) - 1.6
         place[:3, :3] = SIZE_M * np.array([[-1.0 if n % 4 == 0 else 1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
         form = {"center": place[:3, 3].tolist(), "radius": SIZE_M} if n % 3 == 0 else {"to_world": place}
-        light = {"type": "area", "radiance": {"type": "rgb", "value": [50.0 * (1 + n % 2)] * 3}}
+        light = glow(50.0 * (1 + n % 2))
         world[f"shape_{n}"] = {"type": KINDS[n % 3], **form, "bsdf": {"type": "ref", "id": "mat_black"}}
         world[f"shape_{n}"]["emitter"] = light
     world["shape_wall"] = wall(9.0, 6.0, bsdf=GREY)
-    source = scene(world, fog, width_px=8, height_px=6, fov_x_deg=50.0)
+    source = scene(world, width_px=8, height_px=6, fov_x_deg=50.0)
     return replace(source, group_of={f"shape_{n}": "left" if n % 10 < 5 else "right" for n in range(many)})
 
 
@@ -71,32 +67,13 @@ def test_two_thousand_become_a_hundred_and_fifty():
     assert ids == {source.instance_of[(key,)] for key in lit(source)}
 
 
-def test_few_and_those_that_move_or_shine_by_a_picture_stay():
-    few = lamps(crowd.MANY_LIT)
-    assert lit(flatten(few)[0]) == lit(few)
-    many = lamps(crowd.MANY_LIT + 3)
-    world = dict(many.world)
-    picture = {"type": "bitmap", "bitmap": np.ones((2, 2, 3), np.float32), "raw": True}
-    world["shape_1"] = {**world["shape_1"], "emitter": {"type": "area", "radiance": picture}}
-    moving = np.eye(4)[None, None].repeat(2, axis=1)
-    flat, *_ = flatten(replace(many, world=world, motion_of={"shape_0": moving}))
-    assert {"shape_0", "shape_1"} <= lit(flat).keys() and len(lit(flat)) <= crowd.NEAREST + crowd.BLOCKS + 2
-
-
-@pytest.mark.parametrize("foggy", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_their_light_is_that_of_each_alone(foggy, monkeypatch):
-    """Means of a wall behind 300 lamps, some of which the eye sees."""
-    monkeypatch.setattr(crowd, "NEAREST", 30)
-    source = lamps(300, (uniform_fog(200.0, visibility_m=30.0),) if foggy else ())
+def test_their_light_is_that_of_each_alone(monkeypatch):
+    """Means of a wall behind 150 lamps, some of which the eye sees."""
+    monkeypatch.setattr(crowd, "NEAREST", 20)
+    source = lamps(150)
     found = []
     for many in (10, 1000):
         monkeypatch.setattr(crowd, "MANY_LIT", many)
         integrator = models.make("path", load(source, boundaries=False))
-        found.append([integrator.accumulate(samples=1024 if foggy else 512, seed=seed).mean() for seed in range(8)])
+        found.append([integrator.accumulate(samples=512, seed=seed).mean() for seed in range(8)])
     assert_agree(*found, resolves=0.1)
-
-
-def test_lit_surfaces_without_a_material_stay_alone():
-    source = lamps(crowd.MANY_LIT + 50)
-    bare = {key: part for key, part in source.world["shape_5"].items() if key != "bsdf"}
-    assert "shape_5" in lit(flatten(replace(source, world={**source.world, "shape_5": bare}))[0])

@@ -78,21 +78,8 @@ def test_a_quiet_pixel_is_not_told_the_error_of_noisy_ones_beside_it():
     assert 1 / 1.5 < np.median(told) / there < 1.5
 
 
-def test_what_differs_between_two_seeds_is_told_apart_from_what_does_not():
-    """The scatter of a filter that loses light is that of its pictures over seeds; its error is larger."""
-    pictures, told = [], []
-    for seed in range(12):
-        noisy = halves(0.4, seed)
-        clean = np.stack([FILTERS["loses a tenth"](half) for half in noisy])
-        pictures.append(clean.mean(axis=0) @ GREY)
-        told.append(error_of(noisy @ GREY, clean @ GREY))
-    scatter = rms(np.std(pictures, axis=0, ddof=1))
-    assert rms([error.scatter for error in told]) == pytest.approx(scatter, rel=0.1)
-    assert min(rms(error.rms) for error in told) > 1.2 * scatter
-
-
 @pytest.mark.parametrize("name", FILTERS)
-@pytest.mark.parametrize("noise", [0.01, 0.03, 0.1, 0.4, 1.0])
+@pytest.mark.parametrize("noise", [0.01, 0.1, 1.0])
 def test_going_back_to_the_samples_never_costs_much_and_ends_at_the_truth(name, noise):
     """Never over 1.15 times the error of the better of samples and filter: of the samples where those are good, of the
     filter where they are not.
@@ -105,18 +92,6 @@ def test_going_back_to_the_samples_never_costs_much_and_ends_at_the_truth(name, 
         samples.append(rms(noisy.mean(axis=0) - truth()))
         after.append(rms(towards_truth(noisy, clean, GREY).mean(axis=0) - truth()))
     assert rms(after) < 1.15 * min(rms(before), rms(samples))
-
-
-def test_light_that_the_filter_lost_comes_back():
-    """A tenth is lost; the mean is that of the samples, to rounding, and blocks of 40 pixels are within 1.5 % of the
-    truth.
-    """
-    noisy = halves(0.2, 0)
-    clean = np.stack([FILTERS["loses a tenth"](half) for half in noisy])
-    done = towards_truth(noisy, clean, GREY).mean(axis=0)
-    assert done.mean(dtype=np.float64) == pytest.approx(noisy.mean(dtype=np.float64), rel=1e-5)
-    blocks = [image.reshape(3, 40, 4, 40, 3).mean(axis=(1, 3, 4)) for image in (done, truth())]
-    np.testing.assert_allclose(*blocks, rtol=0.015)
 
 
 def test_light_of_rare_bright_samples_comes_back_where_it_was_and_not_elsewhere():
@@ -136,7 +111,7 @@ def test_light_of_rare_bright_samples_comes_back_where_it_was_and_not_elsewhere(
     assert np.mean(sides, axis=0) == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (16, 2048), (70, 1)])
+@pytest.mark.parametrize("shape", [(1, 1), (16, 2048)])
 @pytest.mark.parametrize("light", ["none", "one pixel", "noise", "below zero"])
 def test_odd_pictures_stay_finite(shape, light):
     """Any size, no light at all, one bright pixel of one half, light below 0: finite, and not negative."""
@@ -153,58 +128,6 @@ def test_odd_pictures_stay_finite(shape, light):
     assert np.isfinite(error.rms).all() and np.all(error.rms >= error.scatter) and error.scatter.min() >= 0.0
 
 
-def test_blurs_by_way_of_larger_pixels_keep_the_mean_and_the_size():
-    """What was binned and spread again is the picture, smoother; a size that the step does not divide is no matter."""
-    image = truth()[:118, :157]
-    spread = dualbuffer.spread(dualbuffer.binned(image, 16), 16, image.shape[:2])
-    assert spread.shape == image.shape
-    assert spread.mean() == pytest.approx(image.mean(), rel=0.01)
-    np.testing.assert_allclose(
-        dualbuffer.spread(dualbuffer.binned(0 * image + 0.7, 4), 4, image.shape[:2]), 0.7, rtol=1e-5
-    )
-
-
-@pytest.mark.parametrize("step", [2, 4, 16])
-def test_what_was_binned_and_spread_lies_where_it_lay(step):
-    """A slope, 2 x + 3 y, comes back as it was but for half a square at the border and squares that lie over it: no
-    part of a pixel aside.
-    """
-    y, x = np.mgrid[:71, :93].astype(np.float32)
-    slope = (2.0 * x + 3.0 * y)[..., None]
-    inside = slice(step // 2, -(step + step // 2))
-    found = dualbuffer.spread(dualbuffer.binned(slope, step), step, slope.shape)
-    np.testing.assert_allclose(found[inside, inside], slope[inside, inside], atol=1e-3)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_two_bright_samples_that_meet_in_a_pixel_hardly_come_back(seed):
-    """By chance both halves hold a sample of 30 and 50 times the light in the same pixel, as among 10^5 pixels it
-    happens with few samples.
-
-    Its neighbours say how noisy it is here: of 36 that come back where each pixel counts for itself, 5 to 11 do, and
-    the picture around it stays.
-    """
-    noisy, place = halves(0.4, seed), (60, 80)
-    noisy[0][place], noisy[1][place] = 30.0, 50.0
-    clean = np.stack([blurred(np.minimum(half, 4.0)) for half in noisy])
-    picture, before = towards_truth(noisy, clean, GREY).mean(axis=0), clean.mean(axis=0)
-    apart = np.abs(np.subtract(place, np.stack(np.mgrid[: SHAPE[0], : SHAPE[1]], axis=-1))).max(axis=-1)
-    around = (apart > 0) & (apart <= 3)
-    assert picture[place].mean() < 15.0
-    assert picture[around].mean() == pytest.approx(before[around].mean(), rel=0.25)
-
-
-def test_a_small_lamp_that_the_denoiser_lost_comes_back():
-    """Five by five pixels of ten times the light, blurred away: many samples give three quarters of it back."""
-    lamp = (slice(60, 65), slice(80, 85))
-    noisy = halves(0.05, 3)
-    noisy[:, lamp[0], lamp[1]] *= 10.0
-    clean = np.stack([blurred(half) for half in noisy])
-    picture = towards_truth(noisy, clean, GREY).mean(axis=0)
-    assert clean[0][lamp].mean() < 0.75 * noisy[0][lamp].mean()
-    assert picture[lamp].mean() == pytest.approx(noisy.mean(axis=0)[lamp].mean(), rel=0.15)
-
-
 def test_mottle_is_what_white_noise_leaves_under_a_blur():
     """Of white noise of standard deviation s in each half, (a - b) / 2 has s / sqrt(2), and a Gaussian blur of w px
     leaves 1 / (2 w sqrt(pi)) of it; where it mirrors at a border, twice the variance, on average over a length L
@@ -217,10 +140,3 @@ def test_mottle_is_what_white_noise_leaves_under_a_blur():
     borders = (1.0 + blur_px * np.sqrt(np.pi) / width) * (1.0 + blur_px * np.sqrt(np.pi) / height)
     seen = np.sqrt(np.mean([dualbuffer.mottle(halves) ** 2 for halves in pictures]))
     assert seen == pytest.approx(noise * np.sqrt(borders / 2.0) / (2.0 * blur_px * np.sqrt(np.pi)), rel=0.06)
-
-
-def test_a_lamp_that_flickers_is_no_mottle_of_its_street():
-    """The brightest hundredth is capped: 1 pixel of 10 000 that differs a hundredfold, in a picture without noise."""
-    halves = np.ones((2, 100, 100), np.float32)
-    halves[0, 50, 50] = 100.0
-    assert dualbuffer.mottle(halves) == 0.0

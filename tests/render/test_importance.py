@@ -5,30 +5,19 @@ stays that of all lights.
 import drjit as dr
 import numpy as np
 import pytest
-from scipy import stats
-from support.renders import pictures
-from support.stats import assert_agree
+from support.parts import squares
 
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.render import backend
-from synfog_usd.render.lights.importance import PICKS, Importance
+from synfog_usd.render.lights.importance import Importance
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.sobol import Sobol
-from synfog_usd.scene.testing import box, scene, wall
+from synfog_usd.scene.testing import box
 
 COUNT = 30
 FEW = 12
 """Lights where each is asked by a kernel of its own: three of each kind, three times as many as are drawn."""
 FOG = FogVolume("/Fog", box((200.0, 200.0, 200.0)), FogMedium(0.02, albedo=0.95, g=0.8))
-
-
-@pytest.fixture
-def mi():
-    module = backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
-    return module
 
 
 def lopsided(polar, around):
@@ -57,12 +46,8 @@ def world(count=COUNT):
             parts[f"light_{number}"] = {"type": "point", "intensity": colour, "position": place.tolist()}
         else:
             corners = place + 0.2 * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) @ turn.T
-            mesh = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-            parts[f"shape_{number}"] = {
-                **mesh,
-                "emitter": {"type": "area", "radiance": colour},
-                "bsdf": {"type": "diffuse"},
-            }
+            emitter = {"type": "area", "radiance": colour}
+            parts[f"shape_{number}"] = squares(corners, emitter=emitter, bsdf={"type": "diffuse"})
     return parts
 
 
@@ -91,25 +76,6 @@ def rays(mi, count, seed=11):
     )
 
 
-def test_tables_know_where_each_light_shines(mi, both):
-    """The octahedral tables against `LightSampler.sent`, which is tested against the record: texels of 5 degrees blur a
-    beam's edge, nothing is mirrored.
-    """
-    lights, _, importance = both
-    way = np.random.default_rng(1).normal(size=(3, 20_000))
-    way = mi.Vector3f((way / np.linalg.norm(way, axis=0)).astype(np.float32))
-    first = np.cumsum([0, *(len(rows) for rows in lights.rows)])[:-1]
-    for number, row in enumerate(first):
-        _, _, axis, table, x = importance._row(dr.opaque(mi.UInt32, number))
-        known = np.array(importance._sent(axis, x, table, way))
-        true = np.array(lights.sent(lights.columns.at(dr.opaque(mi.UInt32, int(row))), way))
-        assert (
-            np.abs(known - true).mean() < 0.02 and np.corrcoef(known, true)[0, 1] > 0.97
-            if true.std() > 0
-            else np.allclose(known, true)
-        )
-
-
 def test_no_light_is_left_out_anywhere(mi, both):
     """A weight of 0 where a light shines would be a bias: on 10^5 stretches and points none is."""
     _, _, importance = both
@@ -117,37 +83,6 @@ def test_no_light_is_left_out_anywhere(mi, both):
     for number in range(COUNT):
         assert np.array(importance.along(dr.opaque(mi.UInt32, number), origin, direction, begin, end)).min() > 0.0
         assert np.array(importance.at(dr.opaque(mi.UInt32, number), origin, lambda way: mi.Float(1.0))).min() > 0.0
-
-
-def test_draws_follow_the_weights(mi, both):
-    """2^18 draws for one stretch and one point: chi-square of each pick against the stated chances, alpha 1e-4; picks
-    are independent of each other.
-    """
-    _, _, importance = both
-    count = 1 << 18
-    origin, direction, begin, end = rays(mi, 1, seed=5)
-    for weigh in (
-        lambda i: importance.along(i, origin, direction, begin, end),
-        lambda i: importance.at(i, origin, lambda way: dr.abs(way.z) + 0.05),
-    ):
-        weights = np.array([float(weigh(dr.opaque(mi.UInt32, number))[0]) for number in range(COUNT)])
-        chance = weights / weights.sum()
-        picks = importance.draw(weigh, Sobol(9, dr.arange(mi.UInt32, count), mi.UInt32(0)), mi.Bool(True))
-        numbers = [np.array(picks.at(mi.UInt32(k))[0]) for k in range(PICKS)]
-        usual = chance > 50 / count
-        for k, found in enumerate(numbers):
-            np.testing.assert_allclose(np.array(picks.at(mi.UInt32(k))[1]), chance[found], rtol=1e-3)
-            seen = np.bincount(found, minlength=COUNT)
-            assert (
-                stats.chisquare(
-                    np.r_[seen[usual], seen[~usual].sum() + 1e-9],
-                    np.r_[chance[usual], chance[~usual].sum() + 1e-9 / count] * count,
-                ).pvalue
-                > 1e-4
-            )
-        table = np.histogram2d(numbers[0], numbers[1], bins=[np.arange(COUNT + 1)] * 2)[0]
-        table = table[table.sum(axis=1) > 3000][:, table.sum(axis=0) > 3000]
-        assert stats.chi2_contingency(table).pvalue > 1e-4
 
 
 @pytest.mark.parametrize("kind", ["along", "at"])
@@ -190,48 +125,3 @@ def test_many_lights_drawn_are_all_lights_asked(mi, kind):
     error = np.hypot(error, np.sqrt(sum(e**2 for _, e in one_by_one)))
     assert 5 * error < 0.02 * truth, f"cannot see 2 %: error is {error / truth:.2%}"
     assert abs(ours - truth) < 5 * error
-
-
-def hall(roughness):
-    """A glossy floor and a grey wall under 16 panes lit from below, each 0.3 m wide, in clear air."""
-    grey = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4] * 3}}}
-    glossy = {
-        "type": "twosided",
-        "bsdf": {
-            "type": "principled",
-            "base_color": {"type": "rgb", "value": [0.2] * 3},
-            "roughness": roughness,
-            "specular": 0.8,
-        },
-    }
-    floor = np.array([[-8, 0, -1.5], [8, 0, -1.5], [8, 20, -1.5], [-8, 20, -1.5]])
-    parts = {
-        "shape_floor": {"type": "mesh", "positions": floor, "faces": np.array([[0, 1, 2], [0, 2, 3]]), "bsdf": glossy},
-        "shape_wall": wall(18.0, 8.0, bsdf=grey),
-    }
-    for number in range(16):
-        place = np.array([-4.0 + 2.6 * (number % 4), 4.0 + 3.4 * (number // 4), -0.9 + 0.3 * (number % 3)])
-        corners = place + 0.3 * np.array(
-            [(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)]
-        )  # facing down: the eye sees them in the floor alone
-        colour = {"type": "rgb", "value": [20.0 + 5.0 * number, 40.0, 10.0]}
-        mesh = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-        parts[f"shape_pane_{number}"] = {
-            **mesh,
-            "emitter": {"type": "area", "radiance": colour},
-            "bsdf": {"type": "diffuse"},
-        }
-    return scene(parts, (), fov_x_deg=60.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("roughness", [0.15, 0.3])
-def test_lit_faces_in_a_glossy_floor_agree_with_volpath(roughness):
-    """Faces met by chance and faces drawn share the light between them: the same mean within five standard
-    errors.
-    """
-    ours, theirs = (
-        pictures(hall(roughness), seeds, samples=count, model=model)
-        for model, seeds, count in (("path", 24, 256), ("volpath", 8, 4096))
-    )
-    assert_agree(ours, theirs, resolves=0.1)

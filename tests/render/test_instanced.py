@@ -56,26 +56,15 @@ def measured(stage):
 @pytest.mark.parametrize(
     "kind, metres_per_unit, scale, how",
     [
-        *[("Sphere", 1e-3, 1.0, "native"), ("Sphere", 1.0, 1e-2, "native"), ("Sphere", 1.0, 1e4, "native")],
-        *[("Sphere", 0.01, 1.0, how) for how in ("native", "points")],
-        *[(kind, 0.01, 1.0, "points") for kind in QUADRICS[1:]],
-        *[(kind, 1.0, 1e4, "native") for kind in QUADRICS[1:]],
+        ("Sphere", 1e-3, 1.0, "native"),
+        ("Sphere", 1.0, 1e4, "native"),
+        *[(kind, 0.01, 1.0, "points") for kind in QUADRICS],
     ],
 )
 def test_instances_cover_what_copies_do(kind, metres_per_unit, scale, how):
     plain = measured(stage_of(kind, "plain", metres_per_unit, scale=scale))
     found = measured(stage_of(kind, how, metres_per_unit, scale=scale))
     assert (plain.instance_id > 0).sum() > 300 and set(np.unique(plain.instance_id)) == {0, 1, 2}
-    np.testing.assert_array_equal(found.instance_id, plain.instance_id)
-    np.testing.assert_allclose(found.distance_m, plain.distance_m, rtol=FLOAT32)
-
-
-@pytest.mark.parametrize("how", ["native", "points"])
-def test_balls_through_a_long_lens(how):
-    """10 cm at 20 m."""
-    places = [(x, 200.0, 0.0) for x in (-2.0, 2.0)]
-    plain, found = (measured(stage_of("Sphere", kind, 0.1, places=places, fov_mm=1000.0)) for kind in ("plain", how))
-    assert (plain.instance_id > 0).sum() > 800
     np.testing.assert_array_equal(found.instance_id, plain.instance_id)
     np.testing.assert_allclose(found.distance_m, plain.distance_m, rtol=FLOAT32)
 

@@ -21,24 +21,3 @@ def test_lights_are_chosen_by_the_root_of_their_flux_and_the_sky_keeps_its_share
 
     np.testing.assert_allclose(weights(shape_one=1.0, shape_other=9.0), [0.25, 0.75, 1.0])
     np.testing.assert_allclose(weights(shape_one=0.0, shape_other=0.0), [0.5, 0.5, 1.0])
-
-
-def test_texture_coordinates_lie_where_they_are_read_in_pairs():
-    """NumPy's own memory begins at any multiple of 16 bytes, and a kernel is another where it is not one of 64."""
-    from synfog_usd.render import backend
-
-    for corners in range(3, 23):
-        circle = 2 * np.pi * np.arange(corners) / corners
-        around = np.stack([np.cos(circle), np.sin(circle)], axis=1).astype(np.float32)
-        fan = np.array([(0, k, k + 1) for k in range(1, corners - 1)], dtype=np.uint32)
-        disc = {
-            "type": "mesh",
-            "positions": np.c_[around, np.zeros(corners)].astype(np.float32),
-            "texcoords": around,
-            "faces": fan,
-            "bsdf": {"type": "diffuse"},
-        }
-        loaded = to_mitsuba(scene({**sky(), "shape_disc": disc}))
-        held = backend.mitsuba().traverse(loaded.shapes[("shape_disc",)])["vertex_texcoords"].numpy()
-        np.testing.assert_allclose(held.reshape(-1, 2), around * (1, -1) + (0, 1), atol=1e-6)
-        assert held.ctypes.data % backend.ALIGNMENT == 0

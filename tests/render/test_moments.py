@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support import renders
+from support.parts import rgb, squares
 
-from synfog_usd.render import moments
-from synfog_usd.render.denoise import Guides, available
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import PARALLEL_DEG
 from synfog_usd.scene.testing import black, scene, wall
@@ -40,8 +39,7 @@ def edges_m(picture):
 def bar(left_m, right_m, distance_m=20.0):
     """A shining bar, 20 m high."""
     corners = [[left_m, -10], [right_m, -10], [right_m, 10], [left_m, 10]]
-    positions = np.array([[x, distance_m, z] for x, z in corners], dtype=float)
-    return {"type": "mesh", "positions": positions, "faces": np.array([[0, 1, 2], [0, 2, 3]]), **black(1.0)}
+    return squares([[x, distance_m, z] for x, z in corners], **black(1.0))
 
 
 def half_plane(edge_m):
@@ -63,41 +61,6 @@ def test_a_bar_that_moves_is_blurred_to_the_trapezium_of_its_way():
     np.testing.assert_allclose(seen, wanted, atol=0.02)
     assert seen.sum() / 8.0 == pytest.approx(1.0, rel=0.002), "all of the bar's light"
     assert np.abs(seen - np.clip(wanted * 1.03, 0, 0.5)).max() > 0.005, "the test sees three in a hundred"
-
-
-@pytest.mark.parametrize(("begin", "end"), [(0.0, 0.8), (0.8, 1.0)])
-@pytest.mark.parametrize("what", ["bar", "camera"])
-def test_exposures_one_after_the_other_see_a_moving_bar_where_it_is_then(what, begin, end):
-    """A bar 1 m wide that goes 2 m, or a camera that goes as far the other way: in the part from `begin` to `end` of
-    the exposure the light is the trapezium of that part of the way, 2 (end - begin) m long, about its middle.
-    """
-    way = 2.0 * (end - begin)
-    middle = 2.0 * (0.5 * (begin + end) - 0.5)
-    drift = {"drift_m": (-2.0, 0.0, 0.0)} if what == "camera" else {}
-    world = parallel({"shape_bar": bar(-0.5, 0.5)}, width_px=64, exposes=(begin, end), **drift)
-    if what == "bar":
-        world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
-    runs = renders.by_seed(world, range(2), samples=64, model="path")
-    seen = np.mean([run.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64) for run in runs], axis=0)
-    x = (np.arange(64)[:, None] - 32 + (np.arange(200) + 0.5) / 200) / 8.0 - middle
-    wanted = np.clip(((1.0 + way) / 2.0 - np.abs(x)) / way, 0.0, min(1.0, 1.0 / way)).mean(axis=1)
-    np.testing.assert_allclose(seen, wanted, atol=0.02 * max(1.0, 1.0 / way))
-    centre = float((seen * (np.arange(64) - 31.5)).sum() / seen.sum()) / 8.0
-    assert centre == pytest.approx(middle, abs=0.01)
-
-
-@pytest.mark.slow
-def test_exposures_one_after_the_other_lean_alike_under_a_rolling_shutter():
-    """Rows begin 3/4 of the time apart, and expose for 1/4 each: the last fifth of each row's exposure is 0.9 of that
-    quarter after its beginning, so an edge that goes 3 m leans by 2.25 m and stands 0.4 * 0.25 * 3 m further on.
-    """
-    world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32, rolling=0.75, exposes=(0.8, 1.0))
-    world = replace(world, motion_of={"shape_sheet": going((-3.0, 0.0, 0.0))})
-    runs = renders.by_seed(world, range(4), samples=64, model="path")
-    edges = np.mean([edges_m(run.radiance.pixels[:, :, 1]) for run in runs], axis=0)
-    slant, middle = np.polyfit((np.arange(8) + 0.5) / 8 - 0.5, edges, 1)
-    assert slant == pytest.approx(-2.25, rel=0.02)
-    assert middle == pytest.approx(-0.3, abs=0.03)
 
 
 @pytest.mark.parametrize("what", ["bar", "camera"])
@@ -137,24 +100,12 @@ def test_a_moving_bar_leans_under_a_rolling_shutter_as_far_as_it_went(model):
     assert middle == pytest.approx(0.0, abs=0.02)
 
 
-def test_what_moves_as_the_camera_does_stays_sharp():
-    """An edge and a camera that go 3 m together: within a part of the exposure they part by a pixel's width at most,
-    under both shutters; alone each would smear the edge over twelve pixels.
-    """
-    for rolling in (0.0, 0.75):
-        world = parallel({"shape_sheet": half_plane(0.0)}, width_px=32, rolling=rolling, drift_m=(3.0, 0.0, 0.0))
-        world = replace(world, motion_of={"shape_sheet": going((3.0, 0.0, 0.0))})
-        seen = render(world, samples=64, model="path").radiance.pixels[:, :, 1]
-        np.testing.assert_array_equal(seen[:, :15], 0.0)
-        np.testing.assert_allclose(seen[:, 17:], 1.0, rtol=1e-5)
-
-
 @pytest.mark.slow
 def test_a_lamp_that_moves_lights_as_the_mean_of_its_places():
     """A point lamp of 100 cd that goes 6 m along a wall 4 m before it: I h / r^3 / pi, averaged over its way."""
-    light = {"type": "point", "to_world": np.eye(4), "intensity": {"type": "rgb", "value": [100.0] * 3}}
+    light = {"type": "point", "to_world": np.eye(4), "intensity": rgb(100.0)}
     light["to_world"][:3, 3] = (0.0, 6.0, 0.0)
-    white = {"bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [1.0] * 3}}}
+    white = {"bsdf": {"type": "diffuse", "reflectance": rgb(1.0)}}
     world = scene(
         {"shape_wall": wall(10.0, 50.0, **white), "light_lamp": light}, width_px=16, height_px=8, fov_x_deg=60.0
     )
@@ -186,55 +137,3 @@ def test_the_scene_stands_as_it_stood_once_it_is_drawn_and_turning_things_turn()
     np.testing.assert_allclose(turned, wanted, atol=0.08)  # 1 / 32 is a moment, and 0.05 noise of 64 samples
     assert np.abs(turned - wanted).mean() < 0.01
     np.testing.assert_array_equal(render(world, samples=16, model="path", loaded=loaded).radiance.pixels, before)
-
-
-@pytest.mark.slow
-def test_its_variance_is_that_of_its_pictures():
-    """The variance that a picture of moments tells is the scatter of pictures of many seeds, within a third."""
-    world = parallel({"shape_bar": bar(-0.5, 0.5)})
-    world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
-    runs = [run.radiance for run in renders.by_seed(world, range(10), samples=8, model="volpath")]
-    scatter = np.var([run.pixels[:, :, 1] for run in runs], axis=0, ddof=1).mean()
-    told = np.mean([run.variance[:, :, 1] for run in runs])
-    assert told == pytest.approx(scatter, rel=0.33)
-
-
-def test_a_still_scene_is_not_cut():
-    """Nothing that moves, or only by less than is seen, and the scene is drawn as ever."""
-    world = parallel({"shape_bar": bar(-0.5, 0.5)})
-    assert moments.cut(world, 64) is None
-    assert moments.cut(replace(world, motion_of={"shape_bar": going((0.0, 1.0, 0.0))}), 64) is None, "along the rays"
-    parts = moments.cut(replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))}), 64)
-    assert len(parts.parts) == 4 and parts.samples == 16 and parts.said() == ""
-    np.testing.assert_allclose(sum(part.share for part in parts.parts), 1.0)
-
-
-def test_few_samples_for_a_long_way_are_told():
-    """80 m in the exposure is the picture's 16 pixels; four samples have two moments."""
-    world = parallel({"shape_bar": bar(-0.5, 0.5)})
-    parts = moments.cut(replace(world, motion_of={"shape_bar": going((80.0, 0.0, 0.0))}), 4)
-    assert len(parts.parts) == 2
-    assert "move by up to 8" in parts.said() and "more samples" in parts.said()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(bool(available()), reason="no denoiser here")
-def test_a_denoised_picture_of_moments_has_the_blur():
-    """The trapezium of the first test, denoised: its light and its half-height width of 2 m."""
-    world = parallel({"shape_bar": bar(-0.5, 0.5)}, width_px=64, height_px=32)
-    world = replace(world, motion_of={"shape_bar": going((2.0, 0.0, 0.0))})
-    made = render(world, samples=32, model="path", denoise=True)
-    row = made.radiance.pixels[:, :, 1].mean(axis=0, dtype=np.float64)
-    assert made.error is not None and "16 moments" in made.why
-    assert row.sum() / 8.0 == pytest.approx(1.0, rel=0.02)
-    assert (row > 0.25).sum() / 8.0 == pytest.approx(2.0, abs=0.13)
-
-
-def test_guides_of_ten_moments_are_no_more_than_whole():
-    """Ten tenths are 1.0000001 in single precision, which the denoiser refuses."""
-    looked, ones = moments._MeanGuides(), np.ones((2, 2), np.float32)
-    for _ in range(10):
-        looked.add(Guides(np.ones((2, 2, 3), np.float32), np.zeros((2, 2, 3), np.float32), ones), np.full(2, 0.1))
-    assert sum([np.float32(0.1)] * 10, np.float32(0.0)) > 1.0
-    found = looked.all().transmittance
-    assert found.max() <= 1.0 and found.min() > 0.999999

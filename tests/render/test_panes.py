@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.parts import rgb, squares
 from support.renders import by_seed, means
 from support.stats import assert_agree
 
@@ -10,23 +11,18 @@ from synfog_usd.render.lights.panes import MOST_PASSED, Panes
 from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import black, scene, sky, uniform_fog, wall
 
+pytestmark = pytest.mark.usefixtures("mi")
+
 OPACITY = 0.35
-GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5] * 3}}
+GREY = {"type": "diffuse", "reflectance": rgb(0.5)}
 GLASS = {
     "type": "preview_surface",
-    "base_color": {"type": "rgb", "value": [0.02] * 3},
+    "base_color": rgb(0.02),
     "roughness": 0.6,
     "eta": 2.83,
 }
-DARK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0] * 3}}
+DARK = {"type": "diffuse", "reflectance": rgb(0.0)}
 LAMPS = {"one": 1, "many": 20}
-
-
-@pytest.fixture(autouse=True)
-def _vectorised():
-    backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
 
 
 def pane(bsdf, opacity=OPACITY):
@@ -41,13 +37,11 @@ def behind(panes, fog=(), lamps=1, bsdf=DARK, light=None):
     for number in range(lamps):
         at = -3.0 + 0.7 * (number - lamps // 2)
         corners = np.array([(0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 0, 0)]) * 0.3 + (at, -6.0, 1.0)
-        lamp = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-        world[f"shape_lamp_{number}"] = {**lamp, **black(1000.0)}
+        world[f"shape_lamp_{number}"] = squares(corners, **black(1000.0))
     return scene({**world, **(light or {})}, fog, width_px=8, height_px=6, fov_x_deg=30.0)
 
 
-@pytest.mark.parametrize("lamps", LAMPS)
-@pytest.mark.parametrize("panes", [1, 3])
+@pytest.mark.parametrize("lamps, panes", [("one", 3), ("many", 1)])
 def test_light_that_passes_panes_twice_is_as_much_less_and_no_noisier(lamps, panes):
     """Black panes before eye and lamps: 0.65 to the power of twice their number of what arrives without. Of the scatter
     three times as much is allowed as paths that end at a pane would make alone.
@@ -62,17 +56,17 @@ def test_light_that_passes_panes_twice_is_as_much_less_and_no_noisier(lamps, pan
     assert paned.std() / paned.mean() < 3.0 * np.hypot(bare.std() / bare.mean(), played / np.sqrt(samples * 48))
 
 
-@pytest.mark.parametrize("foggy", [False, pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("lamps", LAMPS)
-@pytest.mark.parametrize("under_sky", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "foggy, lamps, under_sky", [(False, "many", False), pytest.param(True, "one", True, marks=pytest.mark.slow)]
+)
 def test_glass_has_the_light_of_volpath(foggy, lamps, under_sky):
     """A pane that mirrors, too: Mitsuba's path tracer passes panes in its own way.  In fog, where that is noisy, a
-    tenth is resolved: light that is counted twice, or not at all, is half of it.
+    fifth is resolved: light that is counted twice, or not at all, is half of it.
     """
     fog = [uniform_fog(visibility_m=100.0, g=0.0)] if foggy else []
     place = behind(1, fog, LAMPS[lamps], GLASS, sky(20.0) if under_sky else None)
-    theirs = means(place, 6, model="volpath", samples=8192 if foggy else 2048)
-    assert_agree(means(place, 6, model="path", samples=1024), theirs, resolves=0.1 if foggy else 0.05, systematic=0.003)
+    theirs = means(place, 6, model="volpath", samples=2048)
+    assert_agree(means(place, 6, model="path", samples=1024), theirs, resolves=0.2 if foggy else 0.05, systematic=0.003)
 
 
 def test_what_is_no_pane_stops_shadow_rays():

@@ -4,6 +4,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from scipy import stats
+from support.parts import rgb
 from support.stats import assert_agree
 
 from synfog_usd.fog import FogMedium, FogVolume
@@ -23,17 +24,9 @@ def notched():
     return Tabulated(np.cos(angles), np.cos(angles) ** 2 + 4.0 * np.exp(-((angles / 0.3) ** 2)), "two humps")
 
 
-RECORDS = [HenyeyGreenstein(g) for g in (-0.99, 0.0, 1e-4, 0.87, 0.99)] + [Droplets(8.0), Droplets(49.9), notched()]
-NAMES = ["hg-0.99", "hg0", "hg1e-4", "hg0.87", "hg0.99", "droplets8", "droplets49.9", "table"]
+RECORDS = [HenyeyGreenstein(g) for g in (-0.99, 0.0, 0.87)] + [Droplets(8.0), notched()]
+NAMES = ["hg-0.99", "hg0", "hg0.87", "droplets8", "table"]
 every = pytest.mark.parametrize("record", RECORDS, ids=NAMES)
-
-
-@pytest.fixture
-def mi():
-    module = backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
-    return module
 
 
 def sampled(mi, record, count, seed):
@@ -88,22 +81,6 @@ def test_directions_are_drawn_in_proportion_to_the_record(mi, record):
     assert chance > 1e-4, f"chi-squared says {chance:.2g}"
 
 
-@pytest.mark.slow
-def test_the_chi_squared_test_sees_two_percent(mi):
-    """Directions of a density that is 2 % higher over one half of the light and lower over the other are told from the
-    record's, 9 times in 10.
-    """
-    steps = 0
-    for seed in range(20):
-        cosine, _, _ = sampled(mi, HenyeyGreenstein(0.87), 400_000, seed)
-        mu, below = cumulated(HenyeyGreenstein(0.87))
-        place = np.interp(cosine, mu, below)
-        warped = np.where(place < 0.51, place / 1.02, 0.5 + (place - 0.51) / 0.98)
-        counts = np.histogram(warped, bins=np.linspace(0, 1, 401))[0]
-        steps += stats.chi2.sf(((counts - 1000.0) ** 2 / 1000.0).sum(), 399) < 1e-4
-    assert steps >= 18
-
-
 @every
 def test_a_draw_comes_with_the_value_of_its_direction(mi, record):
     """value(cosine) of a drawn direction is the density that came with it, to what single precision makes of a dot
@@ -121,20 +98,7 @@ def test_a_draw_comes_with_the_value_of_its_direction(mi, record):
     np.testing.assert_allclose(density, record.value(cosine), rtol=1e-3 + 2.5e-7 * steepest, atol=1e-6)
 
 
-@every
-def test_the_density_integrates_to_one_and_has_the_mean_cosine(mi, record):
-    """By 200 000 rows even in angle, and by the mean of 400 000 draws within 4 standard errors."""
-    mu = np.cos(np.linspace(np.pi, 0.0, 200_001)).astype(np.float32).astype(np.float64)
-    values = np.array(kernel_phase(record).value(mi.Float(mu)), dtype=np.float64)
-    assert np.trapezoid(values, mu) * 2 * np.pi == pytest.approx(1.0, abs=1e-3)
-    cosine, _, _ = sampled(mi, record, 400_000, 5)
-    assert (
-        abs(cosine.mean() - record.mean_cosine) < 4 * cosine.std() / np.sqrt(cosine.size) + 1e-4
-    )  # what the table is from linear
-
-
-@pytest.mark.parametrize("g", [-0.99, -0.3, 1e-2, 0.5, 0.87, 0.99])
-@pytest.mark.parametrize("table", [False, True], ids=["closed", "table"])
+@pytest.mark.parametrize("g, table", [(-0.99, False), (0.5, False), (0.87, True)])
 def test_the_plugin_is_mitsubas_own_hg(mi, g, table):
     """The same density in every direction, also as a table.
 
@@ -162,23 +126,10 @@ def test_the_plugin_is_mitsubas_own_hg(mi, g, table):
     assert abs(cosine.mean() - g) < 5 * cosine.std() / np.sqrt(cosine.size) + 1e-4
 
 
-def test_another_diameter_or_g_compiles_nothing(mi):
-    """Kernels are found in the cache where only numbers differ."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        for records in ((Droplets(9.0), Droplets(21.0)), (HenyeyGreenstein(0.8), HenyeyGreenstein(-0.2))):
-            hashes = []
-            for record in records:
-                phase = kernel_phase(record)
-                dr.kernel_history_clear()
-                dr.eval(phase.value(dr.opaque(mi.Float, 0.3, 7)))
-                hashes.append([entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])])
-            assert hashes[0] == hashes[1] != []
-
-
 # -- in Mitsuba's integrators
 
 WORLD = {
-    "light_sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.2, 0.2]}},
+    "light_sky": {"type": "constant", "radiance": rgb(0.2, 0.2, 0.2)},
     "shape_moon": {"type": "sphere", "center": [25.0, 20.0, 0.0], "radius": 9.0, **black(3.0)},
     "shape_ball": {"type": "sphere", "center": [-1.0, 15.0, 0.0], "radius": 4.0, "bsdf": {"type": "diffuse"}},
 }
@@ -215,42 +166,11 @@ def test_a_grid_of_equal_voxels_is_uniform_fog(uniform):
     assert_agree(uniform, pictures([gridded(ROOM, np.full((3, 2, 4), 0.5), sigma_t=0.1)]), sigmas=4.5, resolves=0.02)
 
 
-def test_two_stacked_half_grids_are_uniform_fog(uniform):
-    """A lower and an upper grid that share a face at the height of the camera's feet; 2 % is resolved."""
-    lower = gridded(box((10.0, 30.0, 3.0), (0.0, 5.0, -7.0)), np.ones((2, 2, 2)), "/Lower")
-    upper = gridded(box((10.0, 30.0, 7.0), (0.0, 5.0, 3.0)), np.ones((2, 2, 2)), "/Upper")
-    assert_agree(uniform, pictures([lower, upper]), sigmas=4.5, resolves=0.02)
-
-
 def test_a_tabulated_phase_draws_the_picture_of_its_closed_form(uniform):
     """`volpath` with a table of Henyey-Greenstein against its own; 2 % is resolved."""
     table = Tabulated(*HenyeyGreenstein(0.8).table(), "hg")
     tabulated = FogVolume("/Fog", ROOM, FogMedium(0.05, albedo=0.9, phase=table))
     assert_agree(uniform, pictures([tabulated]), sigmas=4.5, resolves=0.02)
-
-
-@pytest.mark.slow
-def test_volpath_and_volpathmis_agree_on_droplets(mi):
-    """The plugin in both, in a grid; 2 % is resolved."""
-    fog = [
-        FogVolume(
-            "/Fog",
-            ROOM,
-            FogMedium(0.05, albedo=0.9, phase=Droplets(10.0), profile="grid", grid=DensityGrid(np.ones((2, 2, 2)))),
-        )
-    ]
-    assert_agree(pictures(fog), pictures(fog, "volpathmis"), sigmas=4.5, resolves=0.02)
-
-
-def test_an_empty_grid_is_clear_air(mi):
-    """No density anywhere, or no extinction where there is density: the picture of clear air, and no division by 0."""
-    empty = [
-        pictures([fog], seeds=2)
-        for fog in (gridded(ROOM, np.zeros((2, 2, 2))), gridded(ROOM, np.ones((2, 2, 2)), sigma_t=0.0))
-    ]
-    clear = pictures([], seeds=8).reshape(8, -1).mean(axis=1)
-    for picture in empty:
-        assert np.isfinite(picture).all() and abs(picture.mean() - clear.mean()) < 5 * clear.std(ddof=1)
 
 
 def test_the_scalar_variant_draws_the_same():

@@ -8,13 +8,12 @@ from typing import ClassVar
 
 import drjit as dr
 import numpy as np
-import pytest
+from support.parts import bulb
 from support.stats import assert_draws
 
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
-from synfog_usd.render.lights import sampler as light_sampler
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.scene.testing import box
@@ -23,57 +22,10 @@ COUNT = 400_000
 EYE = np.array([0.0, 0.0, 1.5])
 
 
-@pytest.fixture
-def mi():
-    module = backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
-    return module
-
-
 def uniform(mi, seed, dimensions=1):
     """(N,) or (2, N) random numbers of a kernel."""
     numbers = np.random.default_rng(seed).random((dimensions, COUNT), dtype=np.float32)
     return mi.Float(numbers[0]) if dimensions == 1 else mi.Point2f(numbers)
-
-
-def down(x, y, z):
-    """A frame at a point that looks down."""
-    matrix = np.diag([1.0, -1.0, -1.0, 1.0])
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
-def street():
-    """A spot, a bulb, a lit face and a lamp with a table of its light."""
-    table = np.outer(np.cos(np.linspace(0.0, np.pi, 19)).clip(0.05), np.linspace(0.4, 1.0, 8)).astype(np.float32)
-    grey = {"type": "rgb", "value": [0.0, 0.0, 0.0]}
-    return {
-        "light_spot": {
-            "type": "spot",
-            "to_world": down(-4.0, 12.0, 6.0),
-            "intensity": {"type": "rgb", "value": [400.0] * 3},
-            "cutoff_angle": 60.0,
-        },
-        "light_bulb": {
-            "type": "point",
-            "position": [3.0, 20.0, 2.0],
-            "intensity": {"type": "rgb", "value": [60.0, 50.0, 40.0]},
-        },
-        "light_table": {
-            "type": "photometric",
-            "to_world": down(4.0, 8.0, 5.0),
-            "intensity": {"type": "rgb", "value": [300.0] * 3},
-            "bitmap": table,
-        },
-        "shape_face": {
-            "type": "mesh",
-            "positions": np.array([[-2.0, 15.0, 0.0], [-1.0, 15.0, 0.0], [-1.0, 15.0, 1.0]]),
-            "faces": np.array([[0, 2, 1]]),
-            "bsdf": {"type": "diffuse", "reflectance": grey},
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [900.0] * 3}},
-        },
-    }
 
 
 class Draws:
@@ -103,12 +55,7 @@ def test_resampling_keeps_a_lamp_in_proportion_to_what_it_sends(mi):
         np.array([10.0, 80.0, 5.0, 40.0]),
     )
     bulbs = {
-        f"light_{index}": {
-            "type": "point",
-            "position": place.tolist(),
-            "intensity": {"type": "rgb", "value": [power] * 3},
-        }
-        for index, (place, power) in enumerate(zip(places, intensity, strict=True))
+        f"light_{index}": bulb(place, power) for index, (place, power) in enumerate(zip(places, intensity, strict=True))
     }
     here, normal = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])
     lane = dr.zeros(mi.Float, COUNT)
@@ -125,22 +72,7 @@ def test_resampling_keeps_a_lamp_in_proportion_to_what_it_sends(mi):
     assert abs(value.mean() - sent.sum()) < 4.5 * value.std() / np.sqrt(COUNT)
 
 
-@pytest.mark.parametrize("width", [0.02, 0.14, 2.0])
-def test_angles_are_drawn_as_the_forward_peak_says(mi, width):
-    """Between 0.1 and 2.5 rad: 200 cells, by the inverse of the peak's integral, which another formula gives."""
-    low, high = 0.1, 2.5
-    share = [light_sampler._peak_share(mi.Float(angle), width) for angle in (low, high)]
-    drawn = np.array(
-        light_sampler._of_peak_share(dr.lerp(share[0], share[1], uniform(mi, 12)), width), dtype=np.float64
-    )
-    edges = np.tan(np.linspace(np.arctan(low / width), np.arctan(high / width), 201)) * width
-    expected = np.diff(np.sin(np.arctan(edges / width)))  # of (w^2 + a^2)^-1.5
-    edges[0], edges[-1] = 0.0, np.pi
-    assert_draws(np.histogram(drawn, edges)[0], expected)
-
-
-@pytest.mark.parametrize("banks", [1, 6], ids=["two fogs", "seven fogs"])
-def test_flights_end_as_transmittance_says(mi, banks):
+def test_flights_end_as_transmittance_says(mi, banks=6):
     """A bank in fog that thins with height: 200 cells of the same chance, by the optical depth of `fog.volume`, which
     is numpy's.
     """

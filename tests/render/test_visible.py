@@ -6,35 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.parts import glow, matte, squares
 
-from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import DIRECT
-from synfog_usd.render.integrators import next_event
 from synfog_usd.render.shot import render
 from synfog_usd.scene.testing import black, scene, uniform_fog, wall
+
+pytestmark = pytest.mark.usefixtures("mi")
 
 RADIANCE = 5000.0
 SIZE, FOV_DEG, MOR_M = (24, 14), 20.0, 150.0
 
 
-@pytest.fixture(autouse=True)
-def _vectorised():
-    backend.mitsuba()
-    if backend.is_scalar():
-        pytest.skip("vectorised tests")
-
-
 def face(x, z, distance, width, height):
     """A lit square across the +Y axis that faces the eye."""
     corners = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]) * (width, 1.0, height) + (x, distance, z)
-    colour = {"type": "rgb", "value": [RADIANCE] * 3}
-    mesh = {"type": "mesh", "positions": corners, "faces": np.array([(0, 1, 2), (0, 2, 3)])}
-    return {**mesh, "emitter": {"type": "area", "radiance": colour}, "bsdf": {"type": "diffuse"}}
+    return squares(corners, emitter=glow(RADIANCE), bsdf={"type": "diffuse"})
 
 
 def street(fog=True, **more):
     """Two lamps below a pixel, one of them over an edge of pixels, and a wall behind."""
-    grey = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3] * 3}}}
+    grey = matte(0.3)
     parts = {
         "shape_near": face(0.31, 0.17, 20.0, 0.08, 0.05),
         "shape_far": face(-2.0, -0.4, 45.0, 0.1, 0.1),
@@ -78,30 +70,6 @@ def test_what_stands_before_a_lamp_hides_it():
     board.pop("emitter")
     found = drawn(street(shape_board=board)).components[DIRECT].sum(axis=(0, 1))
     np.testing.assert_allclose(found, expected([(20.0, 0.08, 0.025)]), rtol=0.05)
-
-
-@pytest.mark.slow
-def test_the_split_leaves_the_mean(monkeypatch):
-    """With and without the estimator, a lamp of five pixels: the same light in all of the picture, within five standard
-    errors of 6 seeds, 5 % resolved; what it is for is seen beside it.
-    """
-    source = street(shape_near=face(0.31, 0.17, 20.0, 0.6, 0.5))
-
-    def means():
-        return np.array(
-            [
-                render(source, samples=64, seed=seed, size=SIZE, model="path").radiance.pixels.mean(dtype=np.float64)
-                for seed in range(6)
-            ]
-        )
-
-    ours = means()
-    monkeypatch.setattr(next_event.VisibleFaces, "of", classmethod(lambda cls, loaded: None))
-    chance = means()
-    error = np.hypot(ours.std(ddof=1), chance.std(ddof=1)) / np.sqrt(6)
-    assert 5 * error < 0.05 * ours.mean(), f"cannot see 5 %: error is {error / ours.mean():.2%}"
-    assert abs(ours.mean() - chance.mean()) < 5 * error
-    assert ours.std() < chance.std()
 
 
 def test_a_lens_and_a_large_lamp_are_left_to_chance():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.errors import OutputError
 from synfog_usd.dataset.sets import index, layout
 
 pytest.importorskip("pyarrow")
@@ -47,13 +47,6 @@ def test_the_same_rows_are_the_same_bytes(tmp_path):
         index.write_part(tmp_path / folder, 0, [row(number) for number in range(50)])
     one, two = (layout.part_path(tmp_path / folder, 0).read_bytes() for folder in ("one", "two"))
     assert one == two
-
-
-def test_a_part_without_rows_is_none(tmp_path):
-    index.write_part(tmp_path, 0, [row(3)])
-    index.write_part(tmp_path, 0, [])
-    with pytest.raises(ParameterError, match=r"no index of a set .*synfog-usd dataset run"):
-        index.count(tmp_path)
 
 
 def test_a_damaged_part_is_one_line(tmp_path):

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -99,15 +100,21 @@ def test_every_picture_is_in_the_index_and_every_file_in_a_unit(whole):
 
 
 @pytest.mark.slow
-def test_nothing_is_made_twice_and_a_scene_alone_is_the_same(whole, tiny, tmp_path):
-    """The same command again makes nothing; scenes made in two goes by one worker have the bytes of one go by two."""
-    out, found, _ = whole
-    again = made(tiny, out, "--json")
+def test_nothing_is_made_twice_and_a_set_in_parts_is_the_same(whole, tiny, tmp_path):
+    """The same command again makes nothing; scenes made in goes by one worker, one of which a budget ends, have the
+    bytes of one go by two.
+    """
+    found = whole[1]
+    again = made(tiny, whole[0], "--json")
     assert json.loads(again.stdout)["made"] == 0 and json.loads(again.stdout)["kept"] == 4
-    assert hashes(out) == found
+    assert hashes(whole[0]) == found
+    out = tmp_path / "out"
+    done = process("dataset", "run", tiny, "-o", out, "--workers", "1", "--budget-gb", "0.0002", "--json")
+    printed = json.loads(done.stdout)
+    assert done.returncode == 1 and 0 < printed["made"] < 4 and "budget of 0.0002 GB" in printed["stopped"]
     for only in ("1", "0-1"):
-        assert process("dataset", "run", tiny, "-o", tmp_path / "out", "--workers", "1", "--only", only).returncode == 0
-    assert hashes(tmp_path / "out") == found
+        assert process("dataset", "run", tiny, "-o", out, "--workers", "1", "--only", only).returncode == 0
+    assert hashes(out) == found
 
 
 @pytest.mark.slow
@@ -174,8 +181,6 @@ def test_the_guessed_fog_is_the_models_formula(whole, tmp_path):
 @pytest.mark.slow
 def test_verify_finds_what_was_changed_and_repair_makes_it_again(whole, tiny, tmp_path):
     """A byte more, a file less, a file too many, an index of something else: each is told, then mended."""
-    import shutil
-
     out, found, _ = whole
     copy = tmp_path / "out"
     shutil.copytree(out, copy)
@@ -206,32 +211,8 @@ def unit_of(path):
 
 
 @pytest.mark.slow
-def test_labels_that_do_not_fit_their_picture_are_told(whole, tmp_path):
-    """Also where every hash is right: somebody wrote other labels, and their hash."""
-    import shutil
-
-    out, _, _ = whole
-    copy = tmp_path / "out"
-    shutil.copytree(out, copy)
-    folder = copy / "scenes/000/000000/sky"
-    labels = json.loads((folder / "labels.json").read_text())
-    seen = next(row for row in labels["instances"] if row["pixels"])
-    seen["pixels"] += 1
-    (folder / "labels.json").write_text(json.dumps(labels))
-    unit = json.loads((folder / "unit.json").read_text())
-    data = (folder / "labels.json").read_bytes()
-    unit["files"]["labels.json"] = [len(data), hashlib.sha256(data).hexdigest()]
-    (folder / "unit.json").write_text(json.dumps(unit))
-    findings = json.loads(run("dataset", "verify", copy, "--json").stdout)
-    assert [one["unit"] for one in findings] == ["000000/sky"]
-    assert f"instance {seen['id']} {seen['pixels']} pixels, labels.exr {seen['pixels'] - 1}" in findings[0]["text"]
-
-
-@pytest.mark.slow
 def test_another_program_or_another_asset_does_not_go_on_with_a_set(whole, tiny, tmp_path):
     """It says in what they differ, and touches nothing."""
-    import shutil
-
     out, _, _ = whole
     copy = tmp_path / "out"
     shutil.copytree(out, copy)
@@ -264,11 +245,11 @@ def test_what_changes_under_a_run_ends_it(tmp_path):
 
 @pytest.mark.slow
 def test_a_unit_that_fails_three_times_is_set_aside_and_taken_up_again(tiny, whole, tmp_path):
-    """All take longer than a second: they are ended, set aside with their seeds, left alone by another run, and made by
-    retry.
+    """Both of a scene take longer than a second: they are ended, set aside with their seeds, left alone by another run,
+    and made by retry.
     """
-    out = tmp_path / "out"
-    done = made(tiny, out, "--only", "1", "--limit", "1", "--json")
+    out = half(whole, tmp_path)
+    done = made(tiny, out, "--limit", "1", "--json")
     assert done.returncode == 1
     aside = json.loads(done.stdout)["aside"]
     assert set(aside) == {"000001/sky", "000001/active"}
@@ -276,21 +257,19 @@ def test_a_unit_that_fails_three_times_is_set_aside_and_taken_up_again(tiny, who
     assert done.stderr.count("is tried again") == 4 and f"dataset retry {out}" in done.stderr
     done = made(tiny, out, "--json")
     assert done.returncode == 1
-    assert json.loads(done.stdout)["made"] == 2 and set(json.loads(done.stdout)["aside"]) == set(aside)
+    assert json.loads(done.stdout)["made"] == 0 and set(json.loads(done.stdout)["aside"]) == set(aside)
     told = json.loads(run("dataset", "status", out, "--json").stdout)
     assert (told["units"], told["made"], set(told["aside"])) == (4, 2, set(aside)) and not told["running"]
     assert process("dataset", "retry", out, "--workers", "2").returncode == 0
     assert hashes(out) == whole[1]
 
 
-@pytest.mark.slow
-def test_a_budget_ends_a_run_and_a_larger_one_goes_on(tiny, whole, tmp_path):
+def half(whole, tmp_path):
+    """A copy of the set that lacks the units of its second scene."""
     out = tmp_path / "out"
-    done = process("dataset", "run", tiny, "-o", out, "--workers", "1", "--budget-gb", "0.0002", "--json")
-    printed = json.loads(done.stdout)
-    assert done.returncode == 1 and 0 < printed["made"] < 4 and "budget of 0.0002 GB" in printed["stopped"]
-    assert made(tiny, out, "--budget-gb", "1").returncode == 0
-    assert hashes(out) == whole[1]
+    shutil.copytree(whole[0], out)
+    shutil.rmtree(out / "scenes/000/000001")
+    return out
 
 
 def begun(file, out, *more, scheduler=None, **options):
@@ -371,7 +350,7 @@ def obeying_ctrl_c():
 @pytest.mark.slow
 def test_ctrl_c_ends_everything_and_says_how_to_go_on(tiny, whole, tmp_path):
     """Exit code 130, one line, no process left; what is finished is in the index."""
-    out = tmp_path / "out"
+    out = half(whole, tmp_path)
     child = begun(tiny, out, preexec_fn=obeying_ctrl_c)
     wait_for(lambda: len(units_of(child.pid)) == 2, child)
     units = units_of(child.pid)
@@ -385,9 +364,9 @@ def test_ctrl_c_ends_everything_and_says_how_to_go_on(tiny, whole, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_second_run_on_a_folder_is_told(tiny, tmp_path):
+def test_a_second_run_on_a_folder_is_told(tiny, whole, tmp_path):
     """Which process has it; the first goes on."""
-    out = tmp_path / "out"
+    out = half(whole, tmp_path)
     child = begun(tiny, out)
     try:
         wait_for(lambda: units_of(child.pid), child)
@@ -423,81 +402,14 @@ def test_a_worker_that_is_killed_costs_nothing_and_a_unit_costs_a_try(tiny, whol
 
 @pytest.mark.slow
 def test_a_unit_that_runs_twice_is_made_once(tiny, whole, tmp_path):
-    """Two workers that were both given a scene: the second waits for the first, and finds it made."""
+    """Two workers that were both given a unit: the second waits for the first, and finds it made."""
     out = tmp_path / "out"
-    assert made(tiny, out, "--only", "1").returncode == 0
+    shutil.copytree(whole[0], out)
+    shutil.rmtree(out / "scenes/000/000000/sky")
     words = command("dataset", "unit", out, "0", "sky", "--variant", "auto")
     both = [subprocess.Popen(words, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     results = [json.loads(one.communicate(timeout=300)[0]) for one in both]
     assert sorted(result["made"] for result in results) == [False, True]
-    assert made(tiny, out).returncode == 0
-    assert hashes(out) == whole[1]
-
-
-@pytest.mark.slow
-def test_a_folder_that_cannot_be_written_ends_the_run_in_one_line(tiny, whole, tmp_path):
-    """A file stands where scenes are to lie; nothing is tried again, and the run goes on once it is gone."""
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "scenes").write_text("in the way")
-    done = made(tiny, out)
-    assert done.returncode == 2 and "cannot be" in done.stderr and "tried again" not in done.stderr
-    assert "goes on from there" in done.stderr and "Traceback" not in done.stderr
-    (out / "scenes").unlink()
-    assert made(tiny, out).returncode == 0
-    assert hashes(out) == whole[1]
-
-
-@pytest.mark.slow
-def test_a_folder_that_turns_read_only_ends_the_run_in_one_line(tiny, whole, tmp_path):
-    """Once a unit is made, nobody can write there, root neither; writable again, the set ends with the same bytes."""
-    import shutil
-
-    out, folders = tmp_path / "out", list[str]()
-    if not shutil.which("chattr"):
-        pytest.skip("no chattr")
-    child = begun(tiny, out)
-    try:
-        wait_for(lambda: list(out.glob("scenes/*/*/*/unit.json")), child)
-        folders = [str(path) for path in (out, *out.rglob("*")) if path.is_dir()]
-        fixed = subprocess.run(["chattr", "+i", *folders], capture_output=True)
-        _, told = child.communicate(timeout=300)
-    finally:
-        subprocess.run(["chattr", "-i", *folders], capture_output=True)
-    if fixed.returncode:
-        pytest.skip("chattr takes root and a file system that knows it")
-    assert child.returncode == 2 and "tried again" not in told and "Traceback" not in told, told
-    assert "cannot be" in told.splitlines()[-1] and "goes on from there" in told, told
-    assert made(tiny, out).returncode == 0
-    assert hashes(out) == whole[1]
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of its own with little more than what a run asks to be free."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    made_disk = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=215m", "tmpfs", place], capture_output=True)
-    if made_disk.returncode:
-        pytest.skip("mounting takes root")
-    yield place
-    subprocess.run(["umount", "-l", place], check=True)
-
-
-@pytest.mark.slow
-def test_a_disk_that_fills_ends_the_run_and_room_lets_it_go_on(tiny, whole, small_disk):
-    """Somebody fills the disk while a unit is made: one line, nothing is set aside; later the same bytes."""
-    out, filler = small_disk / "out", small_disk / "filler"
-    child = begun(tiny, out)
-    wait_for(lambda: units_of(child.pid), child)
-    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
-        while True:
-            file.write(bytes(1 << 20))
-    _, told = child.communicate(timeout=300)
-    assert child.returncode == 2 and "set aside" not in told and "Traceback" not in told
-    assert "goes on from there" in told and ("No space left" in told or "are free on this disk" in told)
-    filler.unlink()
-    assert made(tiny, out).returncode == 0
     assert hashes(out) == whole[1]
 
 
@@ -551,7 +463,7 @@ def kill_once(tiny, out, rng, within_s):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_is_killed_at_any_moment_goes_on_to_the_same_bytes(tiny, whole, tmp_path, seed):
     killed_at_random(tiny, tmp_path, whole, seed)
 

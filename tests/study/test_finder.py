@@ -7,14 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image as Picture
 
-from synfog_usd.base import files, seeds
+from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.lab.benchmark import coco, decode, detectors, methods
+from synfog_usd.lab.benchmark import coco, decode, detectors
 from synfog_usd.lab.benchmark.detect import FoggedView, LabelledThing
-from synfog_usd.lab.study import finder, networks, training
+from synfog_usd.lab.study import finder
 
 CLASSES = ("car", "person")
 
@@ -70,30 +69,6 @@ def test_what_no_camera_sees_is_neither_thing_nor_background():
     assert finder.taught(thing((0, 0, 4, 3), visibility="faint"))
 
 
-def test_a_middle_in_another_square_is_not_taught():
-    heat, _, weight = finder.targets([(0, True, 40, 0, 40, 8)], 1, 12)
-    assert not heat.any() and not weight.any()
-
-
-def test_a_square_is_the_picture_enlarged_and_its_boxes_go_with_it(small, tmp_path, monkeypatch):
-    """Boxes stay on their colour, whatever the square: inside a red box's middle half red is far above blue."""
-    monkeypatch.setattr(finder, "ZOOM", (0.7, 2.0))
-    seen, rng = [], seeds.stream(0, "squares")
-    for number in range(40):
-        square, heat, sides, weight = finder._square(painted(tmp_path, number), CLASSES, rng)
-        assert square.shape == (3, 64, 64) and square.min() >= 0.0 and square.max() <= 1.0
-        for kind, y, x in np.argwhere(heat == 1.0):
-            left, top, right, bottom = sides[:, y, x]
-            assert weight[y, x] > 0.0
-            low, high = ((3 * a + b) / 4 for a, b in ((left, right), (top, bottom)))
-            wide, tall = (right - left) / 2, (bottom - top) / 2
-            part = square[:, max(0, int(high)) : int(high + tall) + 1, max(0, int(low)) : int(low + wide) + 1]
-            redder = part[0].mean() - part[2].mean()
-            assert redder > 0.2 if kind == 0 else redder < -0.2
-            seen.append((right - left) / (20 if kind == 0 else 7))
-    assert len(seen) > 30 and min(seen) < 0.8 and max(seen) > 1.6
-
-
 def test_what_is_taught_reads_back_as_the_boxes(small, tmp_path):
     """A network that says just what it was taught gets every box of a street, rows of small ones among them: AP 1.0
     through the bench's decoding, and 1 box a thing."""
@@ -132,29 +107,6 @@ def test_what_is_taught_reads_back_as_the_boxes(small, tmp_path):
         found += [coco.FoundBox(picture, row[5], row[:4], row[4], 0.0) for row in boxes]
     (whole,) = coco.match(12, true, found, [coco.EVERYTHING]).groups
     assert coco.precision(whole, np.ones((1, 12))).mean() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_several_labels_are_one_class(small, tmp_path, monkeypatch):
-    """car+person is taught as one class, and the bench scores both labels by it."""
-    monkeypatch.setattr(networks, "write_onnx", lambda path, *more: files.write_bytes(path, b""))
-    rng, seen = seeds.stream(0, "squares"), 0
-    for number in range(6):
-        heat = finder._square(painted(tmp_path, number), ("car+person", "rider"), rng)[1]
-        seen += (heat[0] == 1.0).sum()
-        assert not heat[1].any()
-    assert seen > 6
-    finder.write(finder.TrainedFinder(None, ("car+person", "rider"), (1.0,)), tmp_path / "merged")
-    assert detectors.chosen([str(tmp_path / "merged" / "detectors.yaml")])[0].classes == (
-        (0, ("car", "person")),
-        (1, ("rider",)),
-    )
-
-
-def test_overlap_of_boxes_by_hand(small):
-    """Squares of 2 with a corner in common: 1 of 7, in a hull of 9; apart by 1: 0 of 8, in a hull of 10."""
-    one = small.tensor([[0.0, 0, 2, 2]])
-    for other, wanted in (((1, 1, 3, 3), 1 / 7 - 2 / 9), ((3, 0, 5, 2), -2 / 10), ((0, 0, 2, 2), 1.0)):
-        assert float(finder.giou(small, one, small.tensor([[*map(float, other)]]))) == pytest.approx(wanted, abs=1e-6)
 
 
 def test_the_same_seed_gives_the_same_weights(small, tmp_path):
@@ -198,29 +150,6 @@ def overlap(one, other):
     high = np.minimum(np.add(one[:2], one[2:]), np.add(other[:2], other[2:]))
     both = np.prod(np.clip(high - low, 0, None))
     return both / (one[2] * one[3] + other[2] * other[3] - both)
-
-
-@pytest.mark.parametrize("name", ["clear", "fog: {all}", "Nebel-größer"])
-def test_a_network_is_called_as_its_folder(tmp_path, name):
-    """So that two of them stand in one bench; a name stays one word of YAML, whatever is in it."""
-    assert yaml.safe_load(f"{{name: {networks.name_of(tmp_path / name)}, onnx: a.onnx}}")["name"] == name
-
-
-def test_two_trainings_stand_in_one_bench(tmp_path, monkeypatch):
-    """As the page has it, `--model finder/detectors.yaml --model clear/detectors.yaml`, and defoggers likewise; two
-    folders of one name are told."""
-    monkeypatch.setattr(networks, "write_onnx", lambda path, *more: files.write_bytes(path, path.parent.name.encode()))
-    monkeypatch.setattr(training, "as_bytes", lambda found: b"")
-    folders = [tmp_path / name for name in ("finder", "clear", "again/clear")]
-    for out in folders:
-        finder.write(finder.TrainedFinder(None, CLASSES, (1.0, 0.5)), out)
-        training.write(training.TrainedDefogger(None, False, (1.0, 0.5)), out)
-    for chosen, name in ((detectors.chosen, "detectors.yaml"), (methods.chosen, "methods.yaml")):
-        paths = [str(out / name) for out in folders]
-        first, second = chosen(paths[:2])
-        assert (first.name, second.name) == ("finder", "clear") and first.version != second.version
-        with pytest.raises(ParameterError, match="'clear'; give one another name"):
-            chosen(paths)
 
 
 def test_classes_without_boxes_are_refused(tmp_path):

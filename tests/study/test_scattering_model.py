@@ -14,7 +14,7 @@ from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.writers import write_exr
 from synfog_usd.lab.benchmark import metrics
-from synfog_usd.lab.study.scattering_model import DEPTHS, ScatteringStudy, ShotErrors, crossing, models, study
+from synfog_usd.lab.study.scattering_model import DEPTHS, crossing, models, study
 
 AIRLIGHT = np.array([90.0, 100.0, 110.0])
 HEIGHT, WIDTH = 60, 80
@@ -80,14 +80,6 @@ def test_codes_that_were_mixed_are_found_by_the_model_that_mixes_codes():
     assert np.median(np.abs(found["fitted"] / truth - 1.0)) > 0.02
 
 
-def test_two_percent_is_the_fog_whose_contrast_at_the_visibility_is_two_percent():
-    """Where 5 % is left of a contrast by the WMO's fog, 2 % is left by the other."""
-    clear, t, foggy = frames()
-    foggy = clear * 0.05 + AIRLIGHT * 0.95
-    found = by_model(foggy, clear, np.full_like(t, 0.05))["two_percent"]
-    np.testing.assert_allclose(found, clear * 0.02 + AIRLIGHT * 0.98, rtol=1e-6)
-
-
 def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
     """A glow of 20 nits beyond optical depth 1: sigma there is sqrt(50 L + 9) / 50, about 1.5 nits, and what the best
     airlight cannot make up for shows in the bins beyond 1 and before it; without the glow nothing shows anywhere.
@@ -110,20 +102,6 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
     assert found.left("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
 
 
-def test_models_are_compared_shot_by_shot():
-    """Half the other's error in every scene, though scenes differ tenfold: the ratio is known exactly."""
-    key = {model: (model, "depth", 4) for model in ("srgb", "fitted")}
-    shots = [
-        ShotErrors(str(n), f"{n}", "sky", "thick", {key["srgb"]: 0.5 * 10.0**n, key["fitted"]: 10.0**n}, {}, {})
-        for n in range(4)
-    ]
-    shots.append(ShotErrors("4", "4", "sky", "thick", {key["srgb"]: 1.0}, {}, {}))
-    found = ScatteringStudy(tuple(shots), (), ("sky",))
-    ratio = found.ratio("srgb", "fitted", "sky", "depth", 4)
-    assert (ratio.value, ratio.low, ratio.high, ratio.scenes) == pytest.approx((0.5, 0.5, 0.5, 4))
-    assert found.ratio("srgb", "fitted", "sky", "depth", 5) is None
-
-
 @pytest.mark.slow
 def test_the_command_writes_tables_and_a_drawing(tmp_path):
     bake(tmp_path / "bake", glow=20.0)
@@ -138,27 +116,7 @@ def test_the_command_writes_tables_and_a_drawing(tmp_path):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-@pytest.mark.slow
-def test_a_set_is_made_first(tmp_path):
-    """And a second time only looked at."""
-    set_file = tmp_path / "tiny.yaml"
-    set_file.write_text(
-        "synfog: set/1\nscenes: 1\nrecipes: [crossroads]\nlightings: [sky]\nfogs: [clear, 150]\nsize: [48, 27]\n"
-        "quality: {samples: 2}\n"
-    )
-    for _ in range(2):
-        done = cli.run("study", "asm", set_file, "-o", tmp_path / "out")
-        assert done.returncode == 0, done.stderr
-        assert "1 foggy shots of 1 scenes" in done.stdout
-    assert "0 units made, 1 were there" in done.stdout
-
-
 ONE_FOGGY = '{"shots": [{"lighting": "a", "fog": "x", "folder": "a/x", "mor_m": 100.0}]}'
-
-
-def test_a_set_that_does_not_ship_is_told_those_that_do(tmp_path):
-    done = cli.run("study", "asm", "studdy", "-o", tmp_path)
-    assert done.returncode == 2 and "Did you mean 'study'?" in done.stderr and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("text", [None, "{", ONE_FOGGY])

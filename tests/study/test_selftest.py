@@ -41,14 +41,6 @@ def constant(value, lost=0, *, peer=False):
 WALL = "wall at 50 m, MOR 150"
 
 
-def test_the_names_fit_and_differ():
-    """A row is its name: all different, and short enough for 160 columns with all models."""
-    names = [case.name for case in cases.every()]
-    assert len(set(names)) == len(names) and max(map(len, names)) <= 52
-    assert 5 <= len(selftest.select(quick=True)) < len(names)
-    assert {name for case in cases.every() for name in case.holds} <= {*models.MODELS}
-
-
 @pytest.mark.physics
 def test_every_known_answer_is_met_on_this_machine():
     """All cases, all models: nothing is missed."""
