@@ -19,6 +19,7 @@ from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.base.seeds import frame_seed
+from synfog_usd.dataset import flow
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import EARLIER
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
@@ -102,6 +103,7 @@ def bake_sequence(
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
         earlier = _clip_files(plan.out)
         clips = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
+        flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
         found = {
             "schema": "synfog-usd/sequence",
             "version": 1,

@@ -39,7 +39,13 @@ def test_a_platoon_keeps_the_gap_of_the_equilibrium():
 
 def street(vehicles, route, seconds, people=None):
     steps = round((seconds + LOOK_S) / STEP_S) + 5
-    return Street([route], vehicles, np.zeros((steps, 0, 2)) if people is None else people, np.zeros((0, 2)), DRIVER)
+    return Street(
+        [route],
+        vehicles,
+        np.zeros((steps, 0, 2)) if people is None else people,
+        {0: (np.zeros(0), np.zeros(0))},
+        DRIVER,
+    )
 
 
 def car(s, v, v0=14.0):

@@ -6,7 +6,7 @@ time.  Knows nothing of models or stages.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,15 +103,25 @@ class Street:
         routes: of the road or junction.
         vehicles: who drives.
         people: (K, M, 2) where people are [m] at each step, longer than the run by LOOK_S.
-        fixed: (P, 2) outlines of what stands [m].
+        still: for each route with a vehicle, stations and offsets of what stands near it [m].
         driver: how all of them drive.
     """
 
     routes: Sequence[Route]
     vehicles: Sequence[Vehicle]
     people: Array
-    fixed: Array
+    still: Mapping[int, tuple[Array, Array]]
     driver: Driver
+
+
+def beside(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
+    """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
+    found = {}
+    for number in used:
+        s, aside = routes[number].path.nearest(fixed.reshape(-1, 2))
+        near = np.abs(aside) < routes[number].path.width
+        found[number] = s[near], aside[near]
+    return found
 
 
 def drive(street: Street, seconds: float) -> Run:
@@ -148,7 +158,7 @@ class _Traffic:
         v0: (N,) wished speeds [m/s]; used: routes with somebody on them, each with who.
         nose, half: (N,) from origin to front bumper, and half the width [m].
         around: (N, 9, 2) outline of each vehicle in its own axes, right and ahead [m].
-        still: for each used route, stations and offsets of what stands near it [m].
+        meets: for each line before a junction, by its place in its route: used routes, and where each meets it [m].
     """
 
     street: Street
@@ -157,7 +167,7 @@ class _Traffic:
     half: Array
     around: Array
     used: dict[int, Array]
-    still: dict[int, tuple[Array, Array]]
+    meets: dict[tuple[float, float], list[tuple[int, float]]]
 
     @classmethod
     def of(cls, street: Street) -> _Traffic:
@@ -166,11 +176,13 @@ class _Traffic:
         used = {
             number: np.flatnonzero([one.route == number for one in every]) for number in {one.route for one in every}
         }
-        still = {}
-        for number in used:
-            s, aside = street.routes[number].path.nearest(street.fixed.reshape(-1, 2))
-            near = np.abs(aside) < street.routes[number].path.width
-            still[number] = s[near], aside[near]
+        meets: dict[tuple[float, float], list[tuple[int, float]]] = {}
+        for line in (line for number in used for line in street.routes[number].gives_way):
+            meets[line.meet] = []
+            for number in used:
+                at, aside = street.routes[number].path.nearest(np.array(line.meet))
+                if abs(float(aside)) < MEETS_M:
+                    meets[line.meet].append((number, float(at)))
         return cls(
             street,
             np.array([one.v0 for one in every]),
@@ -184,7 +196,7 @@ class _Traffic:
                 ]
             ).reshape(-1, POINTS, 2),
             used,
-            still,
+            meets,
         )  # fmt: skip
 
     def limits(self, s: Array, times: float = 1.0) -> Array:
@@ -210,27 +222,28 @@ class _Traffic:
         steps = np.clip(step + np.arange(0, round(LOOK_S / STEP_S) + 1, 5), 0, max(len(street.people) - 1, 0))
         people = street.people[steps].reshape(-1, 2)
         gap, speed = np.full(len(s), np.inf), np.zeros(len(s))
+        points = np.concatenate([outlines.reshape(-1, 2), people])
+        mine = np.arange(POINTS * len(s)) // POINTS
         for number, who in self.used.items():
             route = street.routes[number]
             front = s[who] + self.nose[who]
-            side, half = offset[who], self.half[who]
-            for points, room, before, velocity in (
-                (outlines.reshape(-1, 2), BESIDE_M, 0.0, np.repeat(self._along(route, where, heading, v), POINTS)),
-                (people, PERSON_M, BEFORE_PERSON_M, None),
-            ):
-                at, aside = route.path.nearest(points)
-                free = at[None] - front[:, None] - before
-                blocks = (np.abs(aside[None] - side[:, None]) < half[:, None] + room) & (free > -before - 0.3)
-                if velocity is not None:
-                    blocks &= np.arange(len(points))[None] // POINTS != who[:, None]
-                else:
-                    for zebra in route.zebras:
-                        line = zebra - ZEBRA_LINE_M - front[:, None] + street.driver.standstill_m - AT_LINE_M
-                        on = (np.abs(at[None] - zebra) < ZEBRA_HALF_M) & (line > 0.0)
-                        free = np.where(on, np.minimum(free, line), free)
-                _nearest(gap, speed, who, np.where(blocks, free, np.inf), velocity)
-            fixed, aside = self.still[number]
-            blocks = (np.abs(aside[None] - side[:, None]) < half[:, None] + 0.05) & (fixed[None] > front[:, None])
+            side, half = offset[who][:, None], self.half[who][:, None]
+            every_at, every_aside = route.path.nearest(points)
+            at, aside = every_at[: len(mine)], every_aside[: len(mine)]
+            along = np.maximum(v * np.cos(heading - np.interp(at[::POINTS], route.path.s, route.path.heading)), 0.0)
+            free = at[None] - front[:, None]
+            blocks = (np.abs(aside[None] - side) < half + BESIDE_M) & (free > -0.3) & (mine[None] != who[:, None])
+            _nearest(gap, speed, who, np.where(blocks, free, np.inf), along[mine])
+            at, aside = every_at[len(mine) :], every_aside[len(mine) :]
+            free = at[None] - front[:, None] - BEFORE_PERSON_M
+            blocks = (np.abs(aside[None] - side) < half + PERSON_M) & (free > -BEFORE_PERSON_M - 0.3)
+            for zebra in route.zebras:
+                line = zebra - ZEBRA_LINE_M - front[:, None] + street.driver.standstill_m - AT_LINE_M
+                on = (np.abs(at[None] - zebra) < ZEBRA_HALF_M) & (line > 0.0)
+                free = np.where(on, np.minimum(free, line), free)
+            _nearest(gap, speed, who, np.where(blocks, free, np.inf), None)
+            fixed, aside = street.still[number]
+            blocks = (np.abs(aside[None] - side) < half + 0.05) & (fixed[None] > front[:, None])
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
             lines = [*route.red, *(one.s for one in route.gives_way if self._taken(one, s, v))]
             for line in lines:
@@ -239,19 +252,10 @@ class _Traffic:
                 _nearest(gap, speed, who, np.where(stops, left + street.driver.standstill_m - AT_LINE_M, np.inf), None)
         return np.maximum(gap, 0.05), speed
 
-    @staticmethod
-    def _along(route: Route, where: Array, heading: Array, v: Array) -> Array:
-        """Speeds of all along a route [m/s], 0 for who comes towards it."""
-        s, _ = route.path.nearest(where)
-        return np.maximum(v * np.cos(heading - route.path.at(s)[2]), 0.0)
-
     def _taken(self, line: GiveWay, s: Array, v: Array) -> bool:
         """Whether somebody who is in the junction already is about to come where a route from a line meets theirs."""
-        for number, who in self.used.items():
-            route = self.street.routes[number]
-            meet, aside = route.path.nearest(np.array(line.meet))
-            if abs(float(aside)) > MEETS_M:
-                continue
+        for number, meet in self.meets[line.meet]:
+            who, route = self.used[number], self.street.routes[number]
             left = meet - s[who]
             inside = s[who] + self.nose[who] > max((one.s for one in route.gives_way), default=-np.inf)
             if (inside & (left > -self.nose[who]) & (left < np.maximum(FREE_M, v[who] * FREE_S))).any():
@@ -270,19 +274,19 @@ def _nearest(gap: Array, speed: Array, who: Array, free: Array, velocity: Array 
     speed[who] = np.where(nearer, 0.0 if velocity is None else velocity[k], speed[who])
 
 
-def eased(path: Path, vehicle: Vehicle, fixed: Array, reach_m: float) -> float:
+def eased(path: Path, vehicle: Vehicle, still: tuple[Array, Array], reach_m: float) -> float:
     """Offset [m] to which a vehicle drifts so that it passes what stands beside its lane, as near as can be to its own.
 
     Args:
         path: of its route.
         vehicle: as it begins.
-        fixed: (P, 2) outlines of what stands [m].
+        still: stations and offsets of what stands near the route [m].
         reach_m: how far it may go.
     """
     most = max(0.0, path.width / 2 - vehicle.width / 2 - 0.1)
     own = float(np.clip(vehicle.aside, -most, most))
-    s, aside = path.nearest(fixed.reshape(-1, 2))
-    beside = aside[(s > vehicle.s - vehicle.behind) & (s < vehicle.s + reach_m) & (np.abs(aside) < path.width)]
+    s, aside = still
+    beside = aside[(s > vehicle.s - vehicle.behind) & (s < vehicle.s + reach_m)]
     if not len(beside):
         return own
     tried = own + np.array([0.0, *(sign * 0.05 * k for k in range(1, 13) for sign in (-1, 1))])

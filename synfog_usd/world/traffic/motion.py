@@ -22,9 +22,9 @@ from synfog_usd.world.roads.stage import KINDS
 from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, Site, WorldSpec
 from synfog_usd.world.traffic import walk
-from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Vehicle, drive, eased
+from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Vehicle, beside, drive, eased
 from synfog_usd.world.traffic.idm import Driver
-from synfog_usd.world.traffic.paths import Path, Route, footways, routes
+from synfog_usd.world.traffic.paths import Route, footways, routes
 
 OWN_WIDTH_M = 1.9
 PEDALS_M_S = (3.8, 5.2)
@@ -37,8 +37,6 @@ TURNED = math.radians(40.0)
 BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
 """Brake lights are on below this acceleration, and go on when one stops."""
 BLINKS_HZ = 1.5
-NEAR_M = 60.0
-"""Farther from all lanes and people things are in nobody's way."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +125,12 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     fixed = [rules.footprint(p) for p in still]
     places = walk.plan(list(walkers.values()), footways(spec.road), [*fixed, *_posts(spec)], steps, pace.seed)
     outline = np.concatenate([_outline(corners) for corners in fixed]) if fixed else np.zeros((0, 2))
-    vehicles = [_settled(one, ways[one.route].path, outline, one.v0 * float(t[-1]) + 10.0) for one in vehicles]
-    street = Street(ways, vehicles, places[..., :2], outline, Driver(pace.headway_s, 1.5))
+    still_at = beside(ways, {one.route for one in vehicles}, outline)
+    vehicles = [
+        replace(one, until=eased(ways[one.route].path, one, still_at[one.route], one.v0 * float(t[-1]) + 10.0))
+        for one in vehicles
+    ]
+    street = Street(ways, vehicles, places[..., :2], still_at, Driver(pace.headway_s, 1.5))
     run = drive(street, float(t[-1]) + STEP_S)
     tracks: dict[int, Track] = {}
     for number, index in enumerate(who):
@@ -240,11 +242,6 @@ def _outline(corners: Array) -> Array:
         share = np.linspace(0.0, 1.0, max(2, math.ceil(float(np.hypot(*(b - a))) / 0.5) + 1))[:-1, None]
         sides.append(a + share * (b - a))
     return np.concatenate(sides)
-
-
-def _settled(one: Vehicle, path: Path, fixed: Array, reach_m: float) -> Vehicle:
-    """With the offset that it drifts to."""
-    return replace(one, until=eased(path, one, fixed, reach_m))
 
 
 # -- where they are

@@ -1,0 +1,220 @@
+"""Optical flow and tracks of a sequence, from the labels of its frames.
+
+Every instance is a rigid body: what a pixel shows is carried on by its pose in the next frame, or in the one before,
+and seen by that frame's camera.  Takes labels.exr and labels.json of each frame; gives flow.exr beside them, and
+tracks.json of the sequence.  Knows nothing of stages or renderers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from synfog_usd.base import cityscapes, files
+from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.image import Image, Quantity
+
+FLOW, TRACKS = "flow.exr", "tracks.json"
+SEEN, HIDDEN, OUTSIDE = 1.0, 0.0, -1.0
+"""What `seen` says: the other frame shows the point, something stands before it, its picture ends before."""
+NEAR = 0.01
+"""Share of the depth by which the other frame's may differ where it shows the same point, beside the slope there."""
+COMMENT = (
+    "X: column, Y: row in the other frame less those in this one [px], of one ray through each pixel's centre; "
+    "seen 1: the other frame shows the point; 0: something stands before it; -1: outside of its picture. "
+    "forward: the next frame, backward: the one before. Instances are rigid: wheels and limbs go with their owner"
+)
+
+
+@dataclass(frozen=True)
+class View:
+    """The labels of one frame.
+
+    Attributes:
+        instance: (H, W) ids; depth_m: (H, W) planar, inf at the sky.
+        matrix: (3, 3) of the camera [px], its pixel centres at whole numbers.
+        to_world: (4, 4) from the camera, x right, y down, z ahead [m].
+        rows: of the instances, by id.
+    """
+
+    instance: Indices
+    depth_m: Array
+    matrix: Array
+    to_world: Array
+    rows: Mapping[int, Mapping[str, Any]]
+
+
+def read(folder: Path) -> View | str:
+    """The labels of a frame's folder, or why there is no flow of them."""
+    from synfog_usd.camera import writers
+
+    if not (folder / "labels.json").is_file():
+        return "no labels are made"
+    told = json.loads((folder / "labels.json").read_bytes())
+    camera = told.get("camera", {})
+    if camera.get("model") != "pinhole":
+        return f"the camera is {camera.get('model', 'unknown')}; flow is told of a pinhole"
+    names = ["instance.ID", "depth.Z"]
+    planes = writers.read_exr(folder / "labels.exr", quantity=Quantity.DATA, channels=names).pixels.astype(np.float64)
+    rows = {int(row["id"]): row for row in told["instances"]}
+    ids = np.rint(planes[:, :, 0]).astype(np.int64)
+    return View(ids, planes[:, :, 1], np.array(camera["camera_matrix_px"]), np.array(camera["camera_to_world"]), rows)
+
+
+def flow(one: View, other: View) -> Array:
+    """(H, W, 3) X and Y [px] from one frame to another, and `seen`.
+
+    The sky is infinitely far: it moves as the camera turns.
+    """
+    height, width = one.depth_m.shape
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(one.matrix).T
+    sky = ~np.isfinite(one.depth_m)
+    points = rays * np.where(sky, 1.0, one.depth_m)[..., None]
+    world = points @ one.to_world[:3, :3].T + np.where(sky[..., None], 0.0, one.to_world[:3, 3])
+    twins = {row["path"]: number for number, row in other.rows.items()}
+    twin = np.zeros(max([0, *one.rows]) + 1, dtype=np.int64)
+    for number in np.unique(one.instance[one.instance > 0]):
+        twin[number] = twins.get(one.rows[number]["path"], 0)
+        way = _way(one.rows[number], other.rows.get(twin[number]))
+        if way is not None:
+            mine = one.instance == number
+            world[mine] = world[mine] @ way[:3, :3].T + way[:3, 3]
+    local = (world - np.where(sky[..., None], 0.0, other.to_world[:3, 3])) @ other.to_world[:3, :3]
+    ahead = local[..., 2] > 1e-6
+    place = local @ other.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
+    moved = np.where(ahead[..., None], place[..., :2] - np.stack([u, v], axis=-1), 0.0)
+    x, y = (np.where(ahead, place[..., axis], -9.0) for axis in (0, 1))
+    inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
+    row, column = (np.clip(np.rint(a).astype(np.int64), 0, n - 1) for a, n in ((y, height), (x, width)))
+    shown = _shows(other, row, column, local[..., 2], np.where(sky, 0, twin[one.instance]), sky)
+    return np.concatenate([moved, np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)[..., None]], axis=-1)
+
+
+def _shows(other: View, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
+    """Whether a frame shows points of an instance at a depth [m] where they fall, or in a pixel beside."""
+    far = np.where(np.isfinite(other.depth_m), other.depth_m, 1e9)
+    low, high = (filtered(far, size=3)[row, column] for filtered in (ndimage.minimum_filter, ndimage.maximum_filter))
+    same = np.zeros(row.shape, dtype=bool)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            y = np.clip(row + dy, 0, far.shape[0] - 1)
+            x = np.clip(column + dx, 0, far.shape[1] - 1)
+            same |= (other.instance[y, x] == number) & (sky == (far[y, x] >= 1e9))
+    return np.asarray(same & (sky | ((depth > low * (1 - NEAR)) & (depth < high * (1 + NEAR)))))
+
+
+def _way(row: Mapping[str, Any], other: Mapping[str, Any] | None) -> Array | None:
+    """(4, 4) from an instance's place in one frame to that in another; None where it stands, or its pose is unknown."""
+    if other is None or "pose" not in row or "pose" not in other or row["pose"] == other["pose"]:
+        return None
+    places = [_matrix(one["pose"]) for one in (row, other)]
+    if np.array_equal(*places):
+        return None
+    return np.asarray(places[1] @ np.linalg.inv(places[0]))
+
+
+def _matrix(pose: Mapping[str, Any]) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(pose["world_wxyz"], scalar_first=True).as_matrix()
+    matrix[:3, 3] = pose["world_m"]
+    return matrix
+
+
+# -- tracks
+
+
+def tracks(listed: Sequence[Mapping[int, Mapping[str, Any]]], per_s: float) -> list[dict[str, Any]]:
+    """Everybody and every vehicle that a frame shows, frame by frame.
+
+    Args:
+        listed: of each frame the rows of its instances, by id.
+        per_s: frames a second.
+
+    Returns:
+        for each its number, path and label, and of each frame its id there, `pixels`, and, where the labels tell them,
+        `box_px`, `velocity_m_s`, place [m], `yaw_deg` of where it looks, counter-clockwise from +Y, and
+        `yaw_rate_deg_s`.
+    """
+    rows = [{row["path"]: row for row in one.values()} for one in listed]
+    found = []
+    for path in dict.fromkeys(path for one in rows for path in one):
+        label = next(one[path]["label"] for one in rows if path in one)
+        if not cityscapes.label(label).has_instances or not any(one.get(path, {}).get("pixels") for one in rows):
+            continue
+        every = [one.get(path) for one in rows]
+        yaw = np.array([np.nan if row is None or "pose" not in row else _yaw(row["pose"]) for row in every])
+        frames = []
+        for number, row in enumerate(every):
+            if row is None:
+                continue
+            told = {"frame": number, "id": row["id"], "pixels": row["pixels"]}
+            told |= {key: row[key] for key in ("box_px", "velocity_m_s") if key in row}
+            if "pose" in row:
+                told |= {"world_m": row["pose"]["world_m"], "yaw_deg": round(float(yaw[number]), 3)}
+                told["yaw_rate_deg_s"] = round(_rate(yaw, number) * per_s, 3)
+            frames.append(told)
+        found.append({"track": len(found) + 1, "path": path, "label": label, "frames": frames})
+    return found
+
+
+def _yaw(pose: Mapping[str, Any]) -> float:
+    """Degrees from +Y to where an instance's own Y axis looks, counter-clockwise."""
+    ahead = _matrix(pose)[:3, 1]
+    return math.degrees(math.atan2(-ahead[0], ahead[1]))
+
+
+def _rate(yaw: Array, number: int) -> float:
+    """Degrees a frame by which somebody turns about a frame, from the frames around it; 0 where there are none."""
+    around = [k for k in (number - 1, number + 1) if 0 <= k < len(yaw) and np.isfinite(yaw[k])]
+    low, high = min([number, *around]), max([number, *around])
+    turned = (yaw[high] - yaw[low] + 180.0) % 360.0 - 180.0
+    return float(turned / max(high - low, 1))
+
+
+def _image(name: str, view: View, other: View) -> Image:
+    channels = tuple(f"{name}.{channel}" for channel in ("X", "Y", "seen"))
+    return Image(flow(view, other).astype(np.float32), channels, Quantity.DATA, provenance={"comment": COMMENT})
+
+
+def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], None]) -> None:
+    """Write flow.exr in the folder of each frame, and tracks.json.
+
+    Args:
+        out: folder of a sequence; folders: of its frames, in it.
+        per_s: frames a second.
+        log: told why there is no flow.
+
+    Raises:
+        OutputError: a file cannot be read or written.
+    """
+    from synfog_usd.camera import writers
+
+    rows: list[Mapping[int, Mapping[str, Any]]] = []
+    before: View | None = None
+    view = read(out / folders[0])
+    for number, folder in enumerate(folders):
+        following = read(out / folders[number + 1]) if number + 1 < len(folders) else None
+        for one in (view, following):
+            if isinstance(one, str):
+                log(f"{out}: no flow and no tracks: {one}")
+                return
+        assert isinstance(view, View)
+        around = {"forward": following, "backward": before}
+        images = [_image(name, view, other) for name, other in around.items() if isinstance(other, View)]
+        if images:
+            writers.write_exr(out / folder / FLOW, images)
+        rows.append(view.rows)
+        before, view = view, following
+    files.write_json(
+        out / TRACKS,
+        {"schema": "synfog-usd/tracks", "version": 1, "frames_per_s": per_s, "tracks": tracks(rows, per_s)},
+    )
