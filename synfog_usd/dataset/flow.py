@@ -35,7 +35,7 @@ COMMENT = (
 
 
 @dataclass(frozen=True)
-class View:
+class Labelled:
     """The labels of one frame.
 
     Attributes:
@@ -52,7 +52,7 @@ class View:
     rows: Mapping[int, Mapping[str, Any]]
 
 
-def read(folder: Path) -> View | str:
+def read(folder: Path) -> Labelled | str:
     """The labels of a frame's folder, or why there is no flow of them."""
     from synfog_usd.camera import writers
 
@@ -66,10 +66,12 @@ def read(folder: Path) -> View | str:
     planes = writers.read_exr(folder / "labels.exr", quantity=Quantity.DATA, channels=names).pixels.astype(np.float64)
     rows = {int(row["id"]): row for row in told["instances"]}
     ids = np.rint(planes[:, :, 0]).astype(np.int64)
-    return View(ids, planes[:, :, 1], np.array(camera["camera_matrix_px"]), np.array(camera["camera_to_world"]), rows)
+    return Labelled(
+        ids, planes[:, :, 1], np.array(camera["camera_matrix_px"]), np.array(camera["camera_to_world"]), rows
+    )
 
 
-def flow(one: View, other: View) -> Array:
+def flow(one: Labelled, other: Labelled) -> Array:
     """(H, W, 3) X and Y [px] from one frame to another, and `seen`.
 
     The sky is infinitely far: it moves as the camera turns.
@@ -99,7 +101,7 @@ def flow(one: View, other: View) -> Array:
     return np.concatenate([moved, np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)[..., None]], axis=-1)
 
 
-def _shows(other: View, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
+def _shows(other: Labelled, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
     """Whether a frame shows points of an instance at a depth [m] where they fall, or in a pixel beside."""
     far = np.where(np.isfinite(other.depth_m), other.depth_m, 1e9)
     low, high = (filtered(far, size=3)[row, column] for filtered in (ndimage.minimum_filter, ndimage.maximum_filter))
@@ -180,7 +182,7 @@ def _rate(yaw: Array, number: int) -> float:
     return float(turned / max(high - low, 1))
 
 
-def _image(name: str, view: View, other: View) -> Image:
+def _image(name: str, view: Labelled, other: Labelled) -> Image:
     channels = tuple(f"{name}.{channel}" for channel in ("X", "Y", "seen"))
     return Image(flow(view, other).astype(np.float32), channels, Quantity.DATA, provenance={"comment": COMMENT})
 
@@ -199,7 +201,7 @@ def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], 
     from synfog_usd.camera import writers
 
     rows: list[Mapping[int, Mapping[str, Any]]] = []
-    before: View | None = None
+    before: Labelled | None = None
     view = read(out / folders[0])
     for number, folder in enumerate(folders):
         following = read(out / folders[number + 1]) if number + 1 < len(folders) else None
@@ -207,9 +209,9 @@ def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], 
             if isinstance(one, str):
                 log(f"{out}: no flow and no tracks: {one}")
                 return
-        assert isinstance(view, View)
+        assert isinstance(view, Labelled)
         around = {"forward": following, "backward": before}
-        images = [_image(name, view, other) for name, other in around.items() if isinstance(other, View)]
+        images = [_image(name, view, other) for name, other in around.items() if isinstance(other, Labelled)]
         if images:
             writers.write_exr(out / folder / FLOW, images)
         rows.append(view.rows)

@@ -31,7 +31,7 @@ def view(depth=10.0, number=1, at=(0.0, 0.0, 0.0), turned=0.0, **more):
     to_world = np.eye(4)
     to_world[:3, :3] = Rotation.from_euler("y", turned, degrees=True).as_matrix()
     to_world[:3, 3] = at
-    return flow.View(
+    return flow.Labelled(
         np.full(SIZE, number), np.full(SIZE, depth), MATRIX, to_world, {number: row(number, **more)} if number else {}
     )
 
@@ -68,7 +68,7 @@ def test_what_something_stands_before_is_hidden():
     one, other = view(), view()
     depth, number = other.depth_m.copy(), other.instance.copy()
     depth[:, 30:], number[:, 30:] = 4.0, 2
-    covered = flow.View(number, depth, MATRIX, other.to_world, {1: row(1), 2: row(2)})
+    covered = flow.Labelled(number, depth, MATRIX, other.to_world, {1: row(1), 2: row(2)})
     found = flow.flow(one, covered)
     assert (found[:, :29, 2] == flow.SEEN).all()
     assert (found[:, 32:, 2] == flow.HIDDEN).all()

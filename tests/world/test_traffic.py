@@ -94,11 +94,11 @@ def placed_at(spec, track, index, frame):
 
 
 def collisions(spec, found):
-    """Pairs of names whose outlines on the ground overlap, and at which frame at first."""
+    """Pairs of names whose outlines on the ground overlap, and at which frame first; not those that were drawn so."""
     solid = [i for i, p in enumerate(spec.placed) if p.group != "Ground" and p.asset != "fallen_leaf"]
     still = [i for i in solid if i not in found.tracks]
     tree = shapely.STRtree([shapely.Polygon(rules.footprint(spec.placed[i])) for i in still])
-    pairs = {}
+    pairs, drawn = {}, set()
     for frame in range(1, len(found.codes) - 1):
         moving = [i for i, track in found.tracks.items() if track.shown[frame]]
         shapes = [shapely.Polygon(rules.footprint(placed_at(spec, found.tracks[i], i, frame))) for i in moving]
@@ -111,7 +111,8 @@ def collisions(spec, found):
             names = {spec.placed[moving[k]].asset for k in (i, j)}
             if names != {"rider", "bicycle"}:
                 pairs.setdefault((spec.placed[moving[i]].name, spec.placed[moving[j]].name), frame)
-    return pairs
+        drawn = drawn or {pair for pair, at in pairs.items() if at == 1}
+    return {pair: frame for pair, frame in pairs.items() if pair not in drawn}
 
 
 def hold(spec, found):

@@ -34,6 +34,8 @@ EASES_OVER_M = 12.0
 MOVES_UP_M = 1.0
 """More gap than at rest, at which one who stands in a queue starts."""
 INITIAL_ROUNDS = 40
+CLOSER = 1.7
+"""At the beginning nobody is nearer to another than the gap wished for at that speed over this."""
 POINTS = 9
 """Of a vehicle, by which others see it."""
 
@@ -133,6 +135,8 @@ def drive(street: Street, seconds: float) -> Run:
     for _ in range(INITIAL_ROUNDS):
         gap, ahead = traffic.ahead(s, v, 0)
         slower = np.minimum(v, safe_speed(gap - 0.5 * street.driver.standstill_m, ahead, street.driver.braking))
+        room = (CLOSER * gap - street.driver.standstill_m) / street.driver.headway_s
+        slower = np.minimum(slower, np.maximum(room, 0.0))
         if np.allclose(slower, v):
             break
         v = slower
@@ -232,7 +236,8 @@ class _Traffic:
             at, aside = every_at[: len(mine)], every_aside[: len(mine)]
             along = np.maximum(v * np.cos(heading - np.interp(at[::POINTS], route.path.s, route.path.heading)), 0.0)
             free = at[None] - front[:, None]
-            blocks = (np.abs(aside[None] - side) < half + BESIDE_M) & (free > -0.3) & (mine[None] != who[:, None])
+            room = np.where(along > 0.0, BESIDE_M, 0.0)[mine]  # who comes towards one keeps to a lane of their own
+            blocks = (np.abs(aside[None] - side) < half + room) & (free > -0.3) & (mine[None] != who[:, None])
             _nearest(gap, speed, who, np.where(blocks, free, np.inf), along[mine])
             at, aside = every_at[len(mine) :], every_aside[len(mine) :]
             free = at[None] - front[:, None] - BEFORE_PERSON_M
