@@ -290,8 +290,10 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_file(stage, tmp_path):
     """A limit on file size stands in for a full disk: writing fails in the middle of a file."""
     out = tmp_path / "out"
     limit = 20_000
-    short = (*arguments(stage, out), "--fog", "clear", "--quality", "reference")
-    done = process(*short, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    few = ("--lighting", "sky", "--fog", "clear", "--samples", "2", "--quality", "reference")
+    done = process(
+        *arguments(stage, out)[:6], *few, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    )
     refused(done, str(out))
     for path in out.rglob("*"):
         assert not path.name.startswith(".synfog-part-")
