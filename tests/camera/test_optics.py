@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from synfog_usd.base import resources
-from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import optics
 from synfog_usd.camera.profiles import load_lens
@@ -104,22 +103,3 @@ def test_a_lens_may_have_a_table_a_distortion_and_blades(tmp_path):
     assert {"field_deg": lens.field_deg, "relative_illumination": lens.relative_illumination} == TABLE
     assert {"distortion", "relative_illumination", "blades"} <= {name for name, _ in lens.sources}
     assert lens.content_hash != plain.content_hash
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        (
-            "distortion: {value: [0.1, 0.2], source: exif}",
-            r"own\.yaml:\d+:13: distortion has lists of 2 numbers; it takes 4 or 5 or 8",
-        ),
-        (
-            "relative_illumination: {field_deg: [0, 9], value: [1, 0.9, 0.5], source: exif}",
-            "has lists of 2 and 3 numbers; it takes as many of each",
-        ),
-        ("blades: {value: 6.5, source: exif}", "blades is 6.5; it takes a whole number from 0 to 32"),
-    ],
-)
-def test_a_fault_in_a_lens_is_named(tmp_path, line, message):
-    with pytest.raises(ParameterError, match=message):
-        own_lens(tmp_path, line)

@@ -16,7 +16,6 @@ from synfog_usd.base.image import Image, Quantity
 
 ORDER = "RGBCI"
 D65_XYZ = np.array([0.95047, 1.0, 1.08883])
-A_XYZ = np.array([1.0985, 1.0, 0.35585])
 
 ROWS = {
     "R": (0.4716, 0.0603, -0.0830),
