@@ -27,13 +27,3 @@ def test_painted_in_their_order_they_give_the_picture(shape, smooth_px):
     np.testing.assert_array_equal(painted(shape, found), values)
     count = sum(ndimage.label(values == value)[1] for value in np.unique(values))
     assert len(found) == count
-
-
-def test_the_area_is_that_with_holes_filled():
-    """A ring without a corner, by which it encloses nothing; a whole ring, and what lies in it."""
-    values = np.zeros((12, 14), dtype=int)
-    values[1:11, 2:12], values[2:10, 3:11] = 1, 2
-    values[4:8, 5:9], values[5:7, 6:8] = 1, 3
-    values[1, 2] = 0
-    areas = sorted((one.value, one.area) for one in outlines(values))
-    assert areas == [(0, 12 * 14), (1, 16), (1, 35), (2, 64), (3, 4)]

@@ -48,17 +48,6 @@ def test_every_run_of_a_power_of_two_fills_every_box_once(mi, power, key=0xDEADB
             assert (boxes(x, rows, count // rows) == 1).all(), f"{first}, {rows} x {count // rows}"
 
 
-def test_each_sample_alone_is_uniform_over_scramblings(mi):
-    """A point of fixed number over 2^18 keys: chi-square of 32 x 32 boxes, and of each margin in 256; alpha 1e-4
-    each.
-    """
-    for number in (0, 1, 7, RUN - 1):
-        x = points_over_keys(mi, 1 << 18, number)
-        assert stats.chisquare(boxes(x, 32, 32)).pvalue > ALPHA
-        for margin in x.T:
-            assert stats.chisquare(np.bincount((margin * 256).astype(int), minlength=256)).pvalue > ALPHA
-
-
 def points_over_keys(mi, count, number, dimension=1):
     """(count, 2): the point that sample `number` of each of `count` pixels draws as its `dimension`-th."""
     sampler = Sobol(7, dr.arange(mi.UInt32, count), mi.UInt32(number))
