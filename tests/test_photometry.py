@@ -53,12 +53,8 @@ def test_other_channels_are_refused(channels):
 
 def test_band_names_are_those_of_fichet_et_al():
     assert photometry.band_name(412.5) == "S0.412,500000nm"
-    assert [photometry.band_centre_nm(name) for name in ("S0.412,500000nm", "S0.700nm", "T.550nm", "R")] == [
-        412.5,
-        700.0,
-        None,
-        None,
-    ]
+    bands = {"S0.412,500000nm": 412.5, "S0.700nm": 700.0, "T.550nm": None, "R": None}
+    assert {name: photometry.band_centre_nm(name) for name in bands} == bands
 
 
 def test_electrons_of_one_wavelength_follow_the_emva_formula():

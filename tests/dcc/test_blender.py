@@ -158,14 +158,8 @@ def test_variants_are_shots(varied):
         np.testing.assert_allclose([volume.medium.visibility_m for volume in translate(stage).fog], wanted, rtol=1e-6)
     for name, lamps in (("active", 1), ("sky", 0)):
         select(stage, lighting=name)
-        assert (
-            sum(
-                "emitter" in part or part["type"] == "point"
-                for part in translate(stage).world.values()
-                if isinstance(part, dict)
-            )
-            == lamps
-        )
+        parts = [part for part in translate(stage).world.values() if isinstance(part, dict)]
+        assert sum("emitter" in part or part["type"] == "point" for part in parts) == lamps
 
 
 @hooked

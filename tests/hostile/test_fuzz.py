@@ -300,28 +300,9 @@ def test_any_damaged_materialx_ends_in_a_scene_or_an_error(tmp_path_factory, dam
 
 
 GRAPH = (TESTS.parent / "pipeline/phone.yaml").read_text(encoding="utf-8")
-GRAPH_WORDS = (
-    *(
-        "nan",
-        ".inf",
-        "-1",
-        "1e308",
-        "0",
-        "''",
-        "[]",
-        "{}",
-        "null",
-        "auto",
-        "*a",
-        "&a",
-        "? ",
-        ": ",
-        "- ",
-        "\t",
-        "\u0000",
-    ),
-    *("op:", "in:", "nodes:", "extends: ./a.yaml", "sensor.expose", "radiance", "../../etc/passwd", "1/0", "true"),
-)
+GRAPH_KEYS = "op: in: nodes: sensor.expose radiance ../../etc/passwd"
+GRAPH_VALUES = "nan .inf -1 1e308 0 1/0 [] {} '' null auto true *a &a"
+GRAPH_WORDS = ["? ", ": ", "- ", "\t", "\u0000", "extends: ./a.yaml", *GRAPH_KEYS.split(), *GRAPH_VALUES.split()]
 
 
 @pytest.mark.slow
@@ -339,48 +320,18 @@ def test_any_damaged_graph_is_loaded_or_told(tmp_path_factory, damage):
         assert damage and "graph.yaml" in str(error)
 
 
-OPTIONS = (
-    *(
-        "--resolution",
-        "--samples",
-        "--target-error",
-        "--bands",
-        "--frame",
-        "--fog",
-        "--lighting",
-        "--camera",
-        "--choose",
-    ),
-    *("--sun-lux", "--light-scale", "--meters-per-unit", "--up", "--max-distance", "--mask", "-o", "--model", "--seed"),
-    *("--variant", "--lights", "--pipeline", "--allow", "--no-such", "--", "-q"),
-)
-ODD = (
-    *(
-        "",
-        " ",
-        "0",
-        "-1",
-        "nan",
-        "inf",
-        "1e999",
-        "10x10",
-        "1000000000x1",
-        "a,b",
-        ",",
-        "/",
-        "..",
-        "\u00e9",
-        "\n",
-        "mor0",
-    ),
-)
+OPTIONS = """--resolution --samples --target-error --bands --frame --fog --lighting --camera --choose
+    --sun-lux --light-scale --meters-per-unit --up --max-distance --mask -o --model --seed
+    --variant --lights --pipeline --allow --no-such -- -q"""
+NUMBERS = "0 -1 nan inf 1e999 10x10 1000000000x1 a,b , / .. mor0"
+ODD = ["", " ", "\u00e9", "\n", *NUMBERS.split()]
 
 
 @pytest.mark.slow
 @fuzzed(30)
 @given(
     st.sampled_from(("bake", "preview", "check")),
-    st.lists(st.tuples(st.sampled_from(OPTIONS), st.sampled_from(ODD)), max_size=4),
+    st.lists(st.tuples(st.sampled_from(OPTIONS.split()), st.sampled_from(ODD)), max_size=4),
 )
 @bounded
 def test_any_command_line_of_a_stage_that_is_missing_is_told(tmp_path_factory, verb, words):

@@ -146,13 +146,8 @@ def test_proxies_of_instances_are_counted_and_not_visited(tmp_path, levels, refu
     if refused:
         done = cli.run("check", path)
         told = done.stderr
-        assert (
-            done.returncode == 2
-            and told.count("\n") == 1
-            and f"/L{levels}/a" in told
-            and "unfold to" in told
-            and "at most 800000" in told
-        )
+        assert done.returncode == 2 and told.count("\n") == 1
+        assert re.search(f"/L{levels}/a.*unfold to.*at most 800000", told)
     else:
         size = budget.check_stage(open_stage(path))
         assert size.shapes == sum(2**level for level in range(levels + 1))  # each /Ln is drawn itself too

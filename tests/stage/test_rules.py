@@ -218,14 +218,8 @@ def Xform "World" ( variants = { string fog = "a" } prepend variantSets = "fog" 
     variantSet "fog" = { "a" { over "Fog" ( active = false ) { float synfog:fog:mor = 50 } } }
 }
 """
-    text = (
-        text.replace(" }", "\n}")
-        .replace("{ ", "{\n")
-        .replace("( ", "(\n")
-        .replace(" )", "\n)")
-        .replace('" prepend', '"\n prepend')
-        .replace("} prepend", "}\n prepend")
-    )
+    for mark in (" }", "{ ", "( ", " )", '" prepend', "} prepend"):
+        text = text.replace(mark, mark.replace(" ", "\n"))
     cases = (
         ("float synfog:fog:mor = 300", "", ["/World/Fog.synfog:fog:mor"]),
         ("float synfog:fog:g = 0.8", "", []),

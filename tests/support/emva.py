@@ -21,22 +21,8 @@ import numpy as np
 from synfog_usd.camera.writers import write_dng
 from synfog_usd.lab.study.bench import SensorBench
 
-LEVELS = (
-    0.01,
-    0.02,
-    0.035,
-    *np.linspace(0.05, 0.85, 13).tolist(),
-    0.9,
-    0.92,
-    0.94,
-    0.955,
-    0.97,
-    0.98,
-    0.99,
-    1.0,
-    1.1,
-    1.2,
-)
+LEVELS = (0.01, 0.02, 0.035, *np.linspace(0.05, 0.85, 13).tolist())
+LEVELS += (0.9, 0.92, 0.94, 0.955, 0.97, 0.98, 0.99, 1.0, 1.1, 1.2)
 """Light of the frames [part of saturation]: 26 levels, close together where the variance has its peak.
 
 No more than two beyond: on a long row of full frames the program takes another peak.

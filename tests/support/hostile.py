@@ -345,10 +345,8 @@ VALUES = list(VALUE.finditer(TEXT))
 WORDS = sorted(set(re.findall(r'[A-Za-z_:]+|[0-9.]+|[(){}\[\]=@<>",#]|\s+', TEXT)))
 """Tokens of the text, for damage that still looks like USD."""
 
-TYPES = (
-    *("int", "float", "double3", "string", "token[]", "asset", "bool", "color3f[]", "matrix4d", "int[]", "quatf"),
-    *("timecode", "nothing", "opaque"),
-)
+_TYPES = "int float double3 string token[] asset bool color3f[] matrix4d int[] quatf timecode nothing opaque"
+TYPES = _TYPES.split()
 ONE_OF_TYPE = {
     "string": '"x"', "token[]": '["x"]', "asset": "@x@", "bool": "1", "double3": "(1, 2, 3)",
     "color3f[]": "[(1, 2, 3)]", "int[]": "[1, 2]",
@@ -359,19 +357,8 @@ ONE_OF_TYPE = {
 NUMBERS = ("0", "-1", "1", "1e-45", "1e38", "-1e38", "1e308", "inf", "-inf", "nan", "0.5", "1e9", "100000")
 WHOLE = ("0", "-1", "1", "2", "7", "2147483647", "-2147483648")
 STRINGS = ('""', '"inherited"', '"invisible"', '"X"', '"none"', '"bilinear"', '"\u00e9\\n"', '"a b"', '"./x"')
-ASSETS = (
-    *(
-        "@@",
-        "@./gone.png@",
-        "@/etc/hostname@",
-        "@.@",
-        "@./stage.usda@",
-        "@<UDIM>.png@",
-        "@./picture.png@",
-        "@./grid.npz@",
-    ),
-    "@./lamp.ies@",
-)
+_FILES = "./gone.png /etc/hostname . ./stage.usda <UDIM>.png ./picture.png ./grid.npz ./lamp.ies"
+ASSETS = ("@@", *(f"@{name}@" for name in _FILES.split()))
 _BY_TYPE = {
     "string": STRINGS, "token": STRINGS, "asset": ASSETS, "bool": ("0", "1"), "int": WHOLE, "int64": WHOLE,
     "rel": ("</World>", "</Nowhere>", "None"),
@@ -424,12 +411,8 @@ def png(width, height, data=None, *, bits=8):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
     rows = zlib.compress((b"\0" + bytes(3 * width * bits // 8)) * height if data is None else data)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0))
-        + chunk(b"IDAT", rows)
-        + chunk(b"IEND", b"")
-    )
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
 IES = """IESNA:LM-63-2002

@@ -54,16 +54,10 @@ def metadata(pattern: str, *, bits: int = 12, black: int | None = None, **more: 
         "bits": bits,
         "black_level_dn": black,
         "white_level_dn": 2**bits - 1,
-        "noise_profile": [2e-4, 3e-7],
-        "total_dark_noise_dn": 2.0,
-        "exposure_s": 1 / 60,
-        "iso": 200.0,
-        "f_number": 2.0,
-        "focal_length_mm": 4.38,
-        "sensor_title": "Test sensor",
-        "sensor_serial": "SN-0042",
-        "lens_title": "Test lens",
     }
+    found |= {"noise_profile": [2e-4, 3e-7], "total_dark_noise_dn": 2.0, "exposure_s": 1 / 60, "iso": 200.0}
+    found |= {"f_number": 2.0, "focal_length_mm": 4.38, "sensor_title": "Test sensor", "sensor_serial": "SN-0042"}
+    found["lens_title"] = "Test lens"
     if len(filters(pattern)) > 2:
         found["xyz_to_camera"] = [list(ROWS[letter]) for letter in filters(pattern)]
         found["xyz_to_camera_a"] = [list(ROWS_A[letter]) for letter in filters(pattern)]

@@ -131,25 +131,11 @@ def street(
     aperture_m = 2 * focal_m * math.tan(math.radians(fov_x_deg) / 2)
     turn = 'float xformOp:rotateX = -90\n    uniform token[] xformOpOrder = ["xformOp:rotateX"]' if up == "Y" else ""
     return STREET.format(
-        meters_per_unit=meters_per_unit,
-        up=up,
-        turn=turn,
-        albedo=albedo,
-        emission=emission,
-        sky=sky,
-        lamp="true" if lamp else "false",
-        y_fog=20 * k,
-        s_fog=200 * k,
-        w=10 * k,
-        y_wall=50 * k,
-        r_lamp=0.5 * k,
-        x_lamp=-5 * k,
-        y_lamp=30 * k,
-        near=0.1 * k,
-        far=1000 * k,
+        **dict(meters_per_unit=meters_per_unit, up=up, turn=turn, albedo=albedo, emission=emission, sky=sky),
+        **dict(lamp="true" if lamp else "false", y_fog=20 * k, s_fog=200 * k, w=10 * k, y_wall=50 * k),
+        **dict(r_lamp=0.5 * k, x_lamp=-5 * k, y_lamp=30 * k, near=0.1 * k, far=1000 * k),
         focal=focal_m * k * 10,  # tenths of a unit
-        aperture=aperture_m * k * 10,
-        aperture_v=aperture_m * 9 / 16 * k * 10,
+        **dict(aperture=aperture_m * k * 10, aperture_v=aperture_m * 9 / 16 * k * 10),
     )
 
 

@@ -103,14 +103,8 @@ def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
 
     def numbers(scene):
         found = [part.get("emitter", part) for part in scene.world.values() if isinstance(part, dict)]
-        return np.array(
-            [
-                np.mean(part[name]["value"])
-                for part in found
-                for name in ("radiance", "irradiance", "intensity")
-                if name in part
-            ]
-        )
+        kinds = ("radiance", "irradiance", "intensity")
+        return np.array([np.mean(part[name]["value"]) for part in found for name in kinds if name in part])
 
     plain = numbers(translate(stage))
     assert len(plain) == 5

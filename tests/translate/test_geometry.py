@@ -94,18 +94,14 @@ def test_long_outlines_are_covered_once(shape, n=4_000):
 def test_outside_stays_outside(empty, polygon_mesh, only_shape, mirror, left_handed):
     """The divergence theorem gives a closed box a positive volume, whatever its orientation and mirror."""
     stage = empty()
-    box = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    mesh = polygon_mesh(
-        stage, "/Box", box, [4] * 6, [k for quad in quads for k in (quad[::-1] if left_handed else quad)]
-    )
+    mesh = polygon_mesh(stage, "/Box", BOX, [4] * 6, QUADS[::-1] if left_handed else QUADS)
     mesh.CreateOrientationAttr("leftHanded" if left_handed else "rightHanded")
     mesh.AddTranslateOp().Set((3, 4, 5))
     mesh.AddScaleOp().Set((-2 if mirror else 2, 3, 1))
     shape = only_shape(translate(stage))
     p = shape["positions"].astype(float)
     volume = np.einsum("ij,ij->", p[shape["faces"][:, 0]], area_vectors(p, shape["faces"])) / 3
-    np.testing.assert_allclose(volume, 6.0, rtol=1e-5)
+    np.testing.assert_allclose(volume, 8 * 6.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name, size, volume", [
@@ -142,7 +138,6 @@ def test_implicit_shapes_hold_their_volume(empty, only_shape, name, size, volume
 
 @pytest.mark.parametrize("interpolation, values, indices", [
     ("faceVarying", [(0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (6, 6), (5, 6)], None),
-    ("faceVarying", [(0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (6, 6), (5, 6)], [0, 1, 2, 3, 4, 5, 6, 7]),
     ("faceVarying", [(6, 6), (0, 0), (1, 0), (1, 1), (0, 1), (5, 5), (6, 5), (5, 6)], [1, 2, 3, 4, 5, 6, 0, 7]),
     ("vertex", [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)], None),
     ("varying", [(2, 1), (0, 0), (1, 0), (2, 0), (0, 1), (1, 1)], [1, 2, 3, 4, 5, 0]),
@@ -165,14 +160,8 @@ def test_texture_coordinates_stay_with_their_corners(
     bind_texture(stage, mesh, tmp_path, "uv")
     shape = only_shape(translate(stage))
     flat = values if indices is None else [values[k] for k in indices]
-    index = {
-        "faceVarying": range(8),
-        "vertex": corners,
-        "varying": corners,
-        "uniform": [0] * 4 + [1] * 4,
-        "constant": [0] * 8,
-    }[interpolation]
-    wanted = {(face, corners[4 * face + k]): flat[list(index)[4 * face + k]] for face in range(2) for k in range(4)}
+    index = {"faceVarying": range(8), "uniform": [0] * 4 + [1] * 4, "constant": [0] * 8}.get(interpolation, corners)
+    wanted = {(face, corners[4 * face + k]): flat[index[4 * face + k]] for face in range(2) for k in range(4)}
     for number, triangle in enumerate(shape["faces"]):
         for vertex in triangle:
             place = shape["positions"][vertex]
@@ -187,13 +176,8 @@ def bind_texture(stage, mesh, folder, varname):
 
 def test_primvar_normals_win_and_face_varying_ones_split_vertices(empty, polygon_mesh, only_shape):
     stage = empty()
-    mesh = polygon_mesh(
-        stage,
-        "/Fold",
-        [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1), (2, 6, 0), (2, 6, 1)],
-        [4, 4],
-        [0, 1, 2, 3, 1, 4, 5, 2],
-    )
+    points = [(0, 5, 0), (1, 5, 0), (1, 5, 1), (0, 5, 1), (2, 6, 0), (2, 6, 1)]
+    mesh = polygon_mesh(stage, "/Fold", points, [4, 4], [0, 1, 2, 3, 1, 4, 5, 2])
     mesh.CreateNormalsAttr([(0, 0, 1)] * 8)
     mesh.SetNormalsInterpolation("faceVarying")
     first, second = Gf.Vec3f(0, -1, 0), Gf.Vec3f(0.7, -0.7, 0)
@@ -340,13 +324,8 @@ def test_varying_values_run_evenly_within_the_faces(
 def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
     """Faces of family materialBind, or bound directly, wear their own colour; other subsets do not split."""
     stage = empty()
-    mesh = polygon_mesh(
-        stage,
-        "/Strip",
-        [(x, 5, z) for z in range(2) for x in range(5)],
-        [4] * 4,
-        [0, 1, 6, 5, 1, 2, 7, 6, 2, 3, 8, 7, 3, 4, 9, 8],
-    )
+    points = [(x, 5, z) for z in range(2) for x in range(5)]
+    mesh = polygon_mesh(stage, "/Strip", points, [4] * 4, [k + x for k in range(4) for x in (0, 1, 6, 5)])
     materials = {
         name: painted(mesh.GetPrim(), f"/{name}", diffuseColor=color)
         for name, color in (("Red", (1, 0, 0)), ("Blue", (0, 0, 1)), ("Own", (0, 1, 0)))
@@ -393,16 +372,8 @@ def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, coun
 @pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
 def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape, scheme):
     """A cube that says it is divided is the same limit surface with and without normals of its own."""
-    faces = (
-        QUADS
-        if scheme == "catmullClark"
-        else [
-            corner
-            for q in range(0, 24, 4)
-            for corner in (QUADS[q], QUADS[q + 1], QUADS[q + 2], QUADS[q], QUADS[q + 2], QUADS[q + 3])
-        ]
-    )
     size = 4 if scheme == "catmullClark" else 3
+    faces = QUADS if size == 4 else [QUADS[q + k] for q in range(0, 24, 4) for k in (0, 1, 2, 0, 2, 3)]
 
     def drawn(*, normals, said=True):
         stage = empty()

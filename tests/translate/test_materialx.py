@@ -367,14 +367,9 @@ def test_transmitted_light_is_mitsubas(tmp_path):
     import mitsuba as mi
 
     for tint in (1.0, 0.5):
-        path = placed(
-            tmp_path,
-            document(
-                constant("transmission", "float", 1.0)
-                + constant("specular_roughness", "float", 0.0)
-                + constant("transmission_color", "color3", f"{tint},{tint},{tint}")
-            ),
-        )
+        glass = constant("transmission", "float", 1.0) + constant("specular_roughness", "float", 0.0)
+        glass += constant("transmission_color", "color3", f"{tint},{tint},{tint}")
+        path = placed(tmp_path, document(glass))
         scene = to_mitsuba(translate(open_stage(path))).scene
         (bsdf,) = {shape.bsdf() for shape in scene.shapes()}
         sampler = mi.load_dict({"type": "independent"})
@@ -416,6 +411,11 @@ def quad(tmp_path):
     return shader, picture, finish
 
 
+def adjusted(colour):
+    h, s, v = colorsys.rgb_to_hsv(*colour)
+    return colorsys.hsv_to_rgb((h + 0.3) % 1, s * 0.5, v * 0.9)
+
+
 X = CODES / 255.0
 BY_PIXEL = {
     "multiply": ({"in2": (0.5, 1.0, 0.25)}, lambda x: x * [0.5, 1, 0.25]),
@@ -433,16 +433,7 @@ BY_PIXEL = {
     "screen": ({"bg": (0.5, 0.5, 0.5)}, lambda x: 0.5 + 0.5 * x),
     "min": ({"in2": 0.4}, lambda x: np.minimum(x, 0.4)),
     "saturate": ({"amount": 0.0}, lambda x: np.repeat((x @ [0.2722287, 0.6740818, 0.0536895])[..., None], 3, axis=2)),
-    "hsvadjust": (
-        {"amount": (0.3, 0.5, 0.9)},
-        lambda x: np.apply_along_axis(
-            lambda c: colorsys.hsv_to_rgb(
-                *(lambda h, s, v: ((h + 0.3) % 1, s * 0.5, v * 0.9))(*colorsys.rgb_to_hsv(*c))
-            ),
-            2,
-            x,
-        ),
-    ),
+    "hsvadjust": ({"amount": (0.3, 0.5, 0.9)}, lambda x: np.apply_along_axis(adjusted, 2, x)),
 }
 
 

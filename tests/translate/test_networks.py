@@ -201,13 +201,8 @@ def test_a_gltf_picture_is_placed_multiplied_and_cut_out(quad, tmp_path):
         rotate=30.0, offset=(0.25, 0.125),
     )  # fmt: skip
     made.GetInput("file").GetAttr().SetColorSpace("srgb_texture")
-    gltf(
-        shader,
-        base_color=made.CreateOutput("outcolor", TYPES.Color3f),
-        alpha=made.CreateOutput("outa", TYPES.Float),
-        alpha_mode=1,
-        alpha_cutoff=0.2,
-    )
+    colour, alpha = made.CreateOutput("outcolor", TYPES.Color3f), made.CreateOutput("outa", TYPES.Float)
+    gltf(shader, base_color=colour, alpha=alpha, alpha_mode=1, alpha_cutoff=0.2)
     _, shape, bsdf = drawn(stage)
     np.testing.assert_array_equal(bsdf["opacity"]["bitmap"][..., 0], 0.5 * pixels[..., 3] / 255 >= 0.2)
     np.testing.assert_allclose(bsdf["bsdf"]["bsdf"]["base_color"]["bitmap"], linear(CODES) * [0.5, 1.0, 1.0], rtol=1e-5)

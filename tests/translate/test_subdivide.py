@@ -46,26 +46,6 @@ def test_a_regular_sheet_is_a_bicubic_spline(level):
     np.testing.assert_allclose(z, wanted, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("level", [0, 1, 3])
-@pytest.mark.parametrize("where", ["boundary", "crease"])
-def test_boundaries_and_creases_are_cubic_splines(level, where):
-    """They forget what lies beside them: the row's own points are the control points of a curve."""
-    heights = np.random.default_rng(3).normal(size=(9, 9))
-    points, counts, indices = sheet(9, heights)
-    row = 0 if where == "boundary" else 4
-    chain = np.arange(9) + 9 * row
-    pairs = np.stack([chain[:-1], chain[1:]], axis=1)
-    cage = (
-        Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0))
-        if where == "crease"
-        else Cage(counts, indices)
-    )
-    fine = subdivided(points, cage, level).points
-    x, _, z = fine[(np.abs(fine[:, 1] - row) < 1e-12) & (fine[:, 0] > 1.99) & (fine[:, 0] < 6.01)].T
-    assert len(z) == 4 * 2**level + 1
-    np.testing.assert_allclose(z, spline(heights[row])(x), rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("level", [1, 2, 4])
 @pytest.mark.parametrize("sharpness, corner", [(0.0, 12 / 24), (0.5, 15 / 24), (1.0, 18 / 24), (10.0, 1.0)])
 def test_corners_of_a_cube_by_sharpness(level, sharpness, corner):
@@ -121,13 +101,9 @@ def test_a_loop_point_has_one_limit_at_every_level(valence):
     )
     k = np.arange(valence)
     following = (k + 1) % valence
-    faces = np.concatenate(
-        [
-            np.stack([k * 0, 1 + k, 1 + following], 1),
-            np.stack([1 + k, 1 + valence + k, 1 + valence + following], 1),
-            np.stack([1 + k, 1 + valence + following, 1 + following], 1),
-        ]
-    )
+    near, beside, far, beyond = 1 + k, 1 + following, 1 + valence + k, 1 + valence + following
+    corners = ((k * 0, near, beside), (near, far, beyond), (near, beyond, beside))
+    faces = np.concatenate([np.stack(face, 1) for face in corners])
     cage = Cage(np.full(len(faces), 3), faces.reshape(-1))
     once, often = (loop.subdivided(points, cage, level).points[: 1 + valence] for level in (1, 4))
     np.testing.assert_allclose(once, often, rtol=0, atol=1e-12)
@@ -136,30 +112,23 @@ def test_a_loop_point_has_one_limit_at_every_level(valence):
 
 @pytest.mark.parametrize("level", [1, 3])
 @pytest.mark.parametrize("where", ["boundary", "crease"])
-def test_boundaries_and_creases_of_loop_are_cubic_splines(level, where):
-    """As with Catmull-Clark: the row's own points are the control points of a curve."""
+@pytest.mark.parametrize("made, divide", [(sheet, subdivided), (triangles, loop.subdivided)])
+def test_boundaries_and_creases_are_cubic_splines(made, divide, level, where):
+    """They forget what lies beside them: the row's own points are the control points of a curve."""
     heights = np.random.default_rng(3).normal(size=(9, 9))
-    points, counts, indices = triangles(9, heights)
+    points, counts, indices = made(9, heights)
     row = 0 if where == "boundary" else 4
     chain = np.arange(9) + 9 * row
     pairs = np.stack([chain[:-1], chain[1:]], axis=1)
-    cage = (
-        Cage(counts, indices, creases=pairs, crease_sharpness=np.full(8, 10.0))
-        if where == "crease"
-        else Cage(counts, indices)
-    )
-    fine = loop.subdivided(points, cage, level).points
+    sharp = {"creases": pairs, "crease_sharpness": np.full(8, 10.0)} if where == "crease" else {}
+    fine = divide(points, Cage(counts, indices, **sharp), level).points
     x, _, z = fine[(np.abs(fine[:, 1] - row) < 1e-12) & (fine[:, 0] > 1.99) & (fine[:, 0] < 6.01)].T
     assert len(z) == 4 * 2**level + 1
     np.testing.assert_allclose(z, spline(heights[row])(x), rtol=0, atol=1e-12)
 
 
-ROOF = np.vstack(
-    [
-        [(-1, -1, -1), (-1, -1, 1.2), (-1.1, 1, -1), (-1, 1.3, 1), (1, -1, -1.4), (1.2, -1, 1)],
-        [(1, 1.1, -1), (1, 1, 1), (0.1, 0, 2)],
-    ]
-)
+ROOF = np.array([(-1, -1, -1), (-1, -1, 1.2), (-1.1, 1, -1), (-1, 1.3, 1), (1, -1, -1.4), (1.2, -1, 1)])
+ROOF = np.vstack([ROOF, [(1, 1.1, -1), (1, 1, 1), (0.1, 0, 2)]])
 ROOF_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4]]
 ROOF_FACES = [*ROOF_QUADS, [1, 5, 8], [5, 7, 8], [7, 3, 8], [3, 1, 8]]
 OPENSUBDIV = [

@@ -49,13 +49,9 @@ def test_the_schema_is_read_whole(empty):
     (volume,) = translate(stage).fog
     np.testing.assert_allclose(volume.medium.sigma_t_per_m, 3.912023 / 80.0, rtol=1e-6)  # -ln 0.02
     np.testing.assert_allclose(volume.medium.visibility_m, 80.0)
-    assert (
-        volume.medium.albedo,
-        volume.medium.g,
-        volume.medium.profile,
-        volume.medium.scale_height_m,
-        volume.priority,
-    ) == (0.99, 0.8, "exponential", 25.0, 3)
+    medium = volume.medium
+    assert (medium.albedo, medium.g, medium.profile, medium.scale_height_m) == (0.99, 0.8, "exponential", 25.0)
+    assert volume.priority == 3
     np.testing.assert_allclose(volume.medium.base_height_m, -5.0)
     np.testing.assert_allclose(volume.boundary.to_world, [[10, 0, 0, 0], [0, 10, 0, 0], [0, 0, 10, 5], [0, 0, 0, 1]])
 
@@ -67,14 +63,6 @@ def test_extinction_wins_over_visibility_and_defaults_hold(empty):
     scene = translate(stage)
     np.testing.assert_allclose([v.medium.sigma_t_per_m for v in scene.fog], [0.5, 2.9957323 / 300.0], rtol=1e-6)
     assert any(note.path == "/B" and "300 m" in note.text for note in scene.notes)
-
-
-@pytest.mark.parametrize("kind", ["Half", "UChar"])
-def test_any_numeric_type_will_do(empty, kind):
-    stage = empty()
-    prim = fog_box(stage, "/Fog").GetPrim()
-    prim.CreateAttribute("synfog:fog:mor", getattr(TYPES, kind)).Set(200)
-    np.testing.assert_allclose(translate(stage).fog[0].medium.visibility_m, 200.0)
 
 
 @pytest.mark.parametrize("name", ["synfog:fog:mor", "userProperties:synfog_mor", "userProperties:synfog:fog:mor"])
@@ -234,32 +222,22 @@ def test_a_grid_lies_below_the_stage(saved, empty, tmp_path, how):
         translate(stage)
 
 
-@pytest.mark.parametrize(
-    "near, y, refused", [(0.1, 10.05, True), (0.01, 10.05, False), (0.1, -10.05, False), (0.1, -9.95, True)]
-)
-def test_fog_that_the_near_plane_cuts_is_refused(empty, near, y, refused):
-    """A camera that looks along +Y with a near plane at 10 cm: a box that begins or ends 5 cm ahead."""
+@pytest.mark.parametrize("near, x, y, refused", [
+    (0.1, 0, 10.05, r"boundary.* /Camera .* 0.1 m"), (0.1, 0, -9.95, r"boundary.* /Camera .* 0.1 m"),
+    (0.01, 0, 10.05, None), (0.1, 0, -10.05, None), (0.2, 9.97, 0, "near plane"), (0.2, 9.5, 0, None),
+])  # fmt: skip
+def test_fog_that_the_near_plane_cuts_is_refused(empty, near, x, y, refused):
+    """A camera that looks along +Y: a box that begins or ends 5 cm ahead, or whose wall is beside the camera, where one
+    corner of the near plane, which is 0.08 m wide, is outside.
+    """
     stage = empty()
     UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((near, 1000.0))
-    fog_box(stage, "/Bank", (0, y, 0))
-    if not refused:
+    fog_box(stage, "/Bank", (x, y, 0))
+    if refused is None:
         assert len(translate(stage).fog) == 1
         return
-    with pytest.raises(StageError, match=r"/Bank: .*boundary.* /Camera .* 0.1 m"):
+    with pytest.raises(StageError, match=f"/Bank: .*{refused}"):
         translate(stage)
-
-
-@pytest.mark.parametrize("shift, refused", [(9.97, True), (9.5, False)])
-def test_a_camera_inside_whose_view_leaves_the_fog_before_the_near_plane_is_refused(empty, shift, refused):
-    """The near plane is 0.08 m wide; beside the wall of the fog one corner of it is outside."""
-    stage = empty()
-    UsdGeom.Camera(stage.GetPrimAtPath("/Camera")).CreateClippingRangeAttr().Set((0.2, 1000.0))
-    fog_box(stage, "/Fog", (shift, 0, 0))
-    if refused:
-        with pytest.raises(StageError, match=r"/Fog: .*near plane"):
-            translate(stage)
-    else:
-        assert translate(stage).fog
 
 
 @pytest.mark.parametrize("scale", [(0.0, 0.0, 0.0), (10.0, 10.0, 1e-5)])
@@ -434,12 +412,8 @@ def vdb_stage(folder, **arrays):
 def vdb_arrays():
     density = np.zeros((2, 3, 4), np.float32)
     density[1, 2, 3] = 1.0
-    return {
-        "density": density,
-        "low": np.array([-100.0, -200.0, 0.0]),
-        "high": np.array([300.0, 100.0, 400.0]),
-        "largest": np.float64(2.5),
-    }
+    low, high = np.array([-100.0, -200.0, 0.0]), np.array([300.0, 100.0, 400.0])
+    return {"density": density, "low": low, "high": high, "largest": np.float64(2.5)}
 
 
 def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):

@@ -248,12 +248,8 @@ def test_nested_instances_stay_instances(empty, polygon_mesh):
         xform.AddTranslateOp().Set((0.0, 0.0, 7.0 * number))
         xform.AddRotateZOp().Set(25.0 * number)
     scene = translate(stage)
-    assert not any(
-        isinstance(part, dict) and part["type"] == "instance"
-        for group in scene.world.values()
-        if group != "scene"
-        for part in group.values()
-    )
+    parts = [part for group in scene.world.values() if group != "scene" for part in group.values()]
+    assert not any(isinstance(part, dict) and part["type"] == "instance" for part in parts)
     assert summary(scene)["instances"] == 6 and sum(key.startswith("group_") for key in scene.world) == 1
     np.testing.assert_allclose(in_order(world_points(scene)), in_order(flat_points(stage, scene)), atol=1e-5)
     assert {path for path, _ in named(scene).values()} == {"/Place0", "/Place1", "/Place2"}

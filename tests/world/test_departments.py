@@ -38,8 +38,8 @@ def held(stage):
             prim.GetVariantSets().GetAllVariantSelections(),
             {key: str(value) for key, value in prim.GetAllMetadata().items()},
             {
-                prop.GetName(): str(prop.Get() if isinstance(prop, Usd.Attribute) else prop.GetTargets())
-                for prop in prim.GetProperties()
+                p.GetName(): str(p.Get() if isinstance(p, Usd.Attribute) else p.GetTargets())
+                for p in prim.GetProperties()
             },
         )
         for prim in stage.TraverseAll()

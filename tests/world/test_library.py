@@ -138,13 +138,8 @@ def test_every_variant_composes_and_every_mesh_wears_a_material(name):
                 if prim.IsA(UsdGeom.Mesh):
                     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
                     assert material, f"{prim.GetPath()} wears nothing"
-                    worn.append(
-                        (
-                            prim.GetName(),
-                            material.GetPrim().GetName(),
-                            len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get()),
-                        )
-                    )
+                    faces = len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get())
+                    worn.append((prim.GetName(), material.GetPrim().GetName(), faces))
                 if prim.IsA(UsdShade.Shader):
                     worn += [
                         (str(prim.GetPath()), i.GetBaseName(), str(i.Get())) for i in UsdShade.Shader(prim).GetInputs()
