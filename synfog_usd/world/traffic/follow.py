@@ -27,6 +27,8 @@ FREE_S, FREE_M = 3.5, 9.0
 """Whoever gives way waits for others who are so near, by time or by length."""
 LATEST = 3.0
 """Who would have to brake harder than this [m/s2] for a line goes on over it."""
+OVER_LINE_M = 1.2
+"""So far over a line one still waits."""
 MEETS_M = 2.0
 """Routes whose middles are so near each other meet."""
 EASES_OVER_M = 12.0
@@ -253,7 +255,7 @@ class _Traffic:
             lines = [*route.red, *(one.s for one in route.gives_way if self._taken(one, s, v))]
             for line in lines:
                 left = (line - front)[:, None]
-                stops = (left > -AT_LINE_M) & (v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
+                stops = (left > -OVER_LINE_M) & (v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
                 _nearest(gap, speed, who, np.where(stops, left + street.driver.standstill_m - AT_LINE_M, np.inf), None)
         return np.maximum(gap, 0.05), speed
 

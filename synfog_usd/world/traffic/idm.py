@@ -61,12 +61,6 @@ def acceleration(
     return np.asarray(np.clip(free - a * (wished / np.maximum(gap, 0.05)) ** 2, -HARDEST, a))
 
 
-def equilibrium_gap(driver: Driver, v: npt.ArrayLike, v0: npt.ArrayLike) -> Array:
-    """Gap [m] at which nobody of a platoon at one speed 0 <= v < v0 speeds up or brakes."""
-    v, v0 = np.asarray(v, dtype=np.float64), np.asarray(v0, dtype=np.float64)
-    return np.asarray((driver.standstill_m + v * driver.headway_s) / np.sqrt(1.0 - (v / v0) ** 4))
-
-
 def safe_speed(gap: npt.ArrayLike, ahead: npt.ArrayLike, braking: float) -> Array:
     """Speed [m/s] from which one stops behind another who brakes as hard: sqrt(v_ahead^2 + 2 b gap)."""
     gap, ahead = np.asarray(gap, dtype=np.float64), np.asarray(ahead, dtype=np.float64)

@@ -219,16 +219,14 @@ def _walkers(spec: WorldSpec) -> dict[int, walk.Walker]:
 
 
 def _in_the_way(p: Placement) -> bool:
-    """Whether one has to go round a thing: not the ground, nor what hangs or lies."""
-    return p.group != "Ground" and p.asset != "fallen_leaf"
+    """Whether one has to go round a thing: not the ground, nor houses, whose eaves hang over the pavement."""
+    return p.group not in ("Ground", "Buildings") and p.asset != "fallen_leaf"
 
 
 def _posts(spec: WorldSpec) -> list[Array]:
     """Outlines of what stands in numbers without being placed one by one: bollards."""
-    low_x, low_y, high_x, high_y = rules.foot("bollard")
-    corners = np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)])
     return [
-        corners + point[:2]
+        rules.footprint(Placement("", "", "bollard", *point[:2]))
         for many in KINDS[type(spec.road)].instanced(spec, spec.road)
         if many.asset == "bollard"
         for point in many.points
@@ -254,7 +252,7 @@ def ground(site: Site, x: Array, y: Array) -> Array:
     return np.asarray(site.height(x, y), dtype=np.float64)
 
 
-def _slopes(site: Site, x: Array, y: Array, heading: Array) -> tuple[Array, Array]:
+def slopes(site: Site, x: Array, y: Array, heading: Array) -> tuple[Array, Array]:
     """Pitch and roll [degrees] of what stands at places and looks to headings [rad], over a metre each way."""
     angles = []
     for right, ahead in ((0.0, 0.5), (0.5, 0.0)):
@@ -270,7 +268,7 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, br
     s, v, a = (column[:, number] for column in run.at(t))
     x, y, h = one.place(route.path, s)
     z = ground(spec.road, x, y)
-    pitch, roll = _slopes(spec.road, x, y, h)
+    pitch, roll = slopes(spec.road, x, y, h)
     p: Any = spec.view if index < 0 else spec.placed[index]
     if index < 0:
         z, pitch, roll = z + p.z - z[1], pitch - pitch[1], roll * 0.0
@@ -290,7 +288,8 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, br
     return Track(
         *(column + (was - column[1]) for column, was in ((x, p.x), (y, p.y), (z, p.z))),
         heading,
-        *(column if index < 0 else column + was - column[1] for column, was in _tilts(p, pitch, roll)),
+        pitch if index < 0 else pitch + (p.pitch - pitch[1]),
+        roll if index < 0 else roll + (p.roll - roll[1]),
         np.gradient(travel, t),
         travel - travel[1],
         np.interp(s, route.path.s, route.path.curvature),
@@ -298,11 +297,6 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, br
         np.where((t * BLINKS_HZ) % 1.0 >= 0.5, side, 0),
         s + one.ahead < route.path.length - 0.5,
     )
-
-
-def _tilts(p: Any, pitch: Array, roll: Array) -> tuple[tuple[Array, float], tuple[Array, float]]:
-    """Pitch and roll with those that were drawn."""
-    return (pitch, getattr(p, "pitch", 0.0)), (roll, getattr(p, "roll", 0.0))
 
 
 def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement) -> Track:

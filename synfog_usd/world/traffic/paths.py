@@ -34,7 +34,7 @@ AT_LINE_M = 0.5
 """Between a bumper and the line that it waits at."""
 ZEBRA_LINE_M = 2.9
 """From the middle of a zebra to where bumpers wait."""
-FOOTWAY_X, FOOTWAY_Y = 8.0, 6.6
+FOOTWAY_X, FOOTWAY_Y = 8.3, 6.6
 """Middles of the pavements of the crossing's main and side street [m]."""
 
 
@@ -209,7 +209,7 @@ def _straight(begin: tuple[float, float], end: tuple[float, float], line: float,
 
 def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:
     for x in (-FOOTWAY_X, FOOTWAY_X):
-        yield Path(rounded(np.array([(x, -crossing.SOUTH), (x, crossing.NORTH)]), 0.0), 2.0)
+        yield Path(rounded(np.array([(x, -crossing.SOUTH), (x, crossing.NORTH)]), 0.0), 3.0)
         for y in (-FOOTWAY_Y, FOOTWAY_Y):
             yield Path(rounded(np.array([(x, y), (math.copysign(crossing.SIDE, x), y)]), 0.0), 2.0)
 

@@ -110,11 +110,8 @@ def plan(walkers: Sequence[Walker], ways: Sequence[Path], fixed: Sequence[Array]
     order = sorted(range(len(walkers)), key=lambda k: -routes[k].s)
     for number in order:
         one, way = walkers[number], routes[number]
-        others = np.delete(np.arange(len(walkers)), number)
-        near = [
-            k for k in others
-            if np.hypot(*(result[:, k, :2] - (one.x, one.y)).T).min() < one.speed * times[-1] + 3.0
-        ]  # fmt: skip
+        away = np.hypot(*(result[..., :2] - (one.x, one.y)).T).min(axis=1)
+        near = [k for k in np.flatnonzero(away < one.speed * times[-1] + 3.0) if k != number]
         beside = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
         result[:, number] = _chosen(one, way, times, stands, beside)
     return result
@@ -132,7 +129,7 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
 def _chosen(one: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     limit = max(way.path.length - way.s - 0.5, 0.0)
-    best: tuple[int, float, float] = (0, 0.0, 1.0)
+    farthest = 0
     for slower in SLOWER:
         travel = np.minimum(one.speed * slower * times, limit)
         for shift in SIDES_M:
@@ -141,8 +138,8 @@ def _chosen(one: Walker, way: Way, times: Array, stands: shapely.STRtree, beside
             free = _free_until(way.place(travel, shift), one, stands, beside)
             if free == len(times):
                 return np.c_[way.place(travel, shift), travel]
-            best = max(best, (free, -abs(shift), slower), key=lambda found: found[0])
-    for stop in range(best[0] - EVERY, 0, -EVERY):  # stand still before what is in the way
+            farthest = max(farthest, free)
+    for stop in range(farthest - EVERY, 0, -EVERY):  # stand still before what is in the way
         travel = np.minimum(one.speed * times, one.speed * times[stop])
         if _free_until(way.place(travel, 0.0), one, stands, beside) == len(times):
             return np.c_[way.place(travel, 0.0), travel]
