@@ -120,6 +120,7 @@ def test_a_payload_of_the_root_may_hold_the_variants(tmp_path):
     assert offers.of_stage(tmp_path / "whole.usda")["lighting"] == ["day", "night"]
 
 
+@pytest.mark.slow
 def test_a_set_of_stages_without_variants_is_made_as_authored(tmp_path):
     """By the command, from another folder than the stages': the word is the same in folders, manifest and index; a file
     that is no USD is set aside with its own error, and costs no other unit.

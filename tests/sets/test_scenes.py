@@ -54,9 +54,9 @@ def test_a_drawn_fog_has_its_distribution():
 
 
 def test_what_is_held_out_is_drawn_in_its_split_alone():
-    """Of 24 drawn worlds: the models, skies and recipe of the test split are in it, and in no other."""
+    """Of 12 drawn worlds: the models, skies and recipe of the test split are in it, and in no other."""
     found = define_set(
-        scenes=24,
+        scenes=12,
         recipes=["motorway", "bridge"],
         splits={
             "train": 2,
