@@ -122,7 +122,6 @@ class Route:
 
     Attributes:
         path: its middle.
-        cycles: whether it is a cycle lane.
         red: stations of lines before a signal at red [m].
         zebras: stations of the middles of zebra crossings [m].
         gives_way: lines before other traffic.
@@ -130,7 +129,6 @@ class Route:
     """
 
     path: Path
-    cycles: bool = False
     red: tuple[float, ...] = ()
     zebras: tuple[float, ...] = ()
     gives_way: tuple[GiveWay, ...] = ()
@@ -175,7 +173,7 @@ def _of_road(road: Road, main_waits: bool) -> Iterator[Route]:
         way = lane.way or (1 if lane.middle > 0 else -1)
         path = Path(np.stack(line.place(s, lane.middle), axis=1)[::way], lane.width)
         at = sorted(float(path.nearest(np.stack(line.place(zebra, lane.middle)))[0]) for zebra in road.zebras)
-        yield Route(path, lane.kind == "cycle", zebras=tuple(at))
+        yield Route(path, zebras=tuple(at))
 
 
 def _pavements(road: Road) -> Iterator[Path]:
