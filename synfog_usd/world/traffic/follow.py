@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.world.traffic.idm import Driver, acceleration, safe_speed
 from synfog_usd.world.traffic.paths import AT_LINE_M, ZEBRA_LINE_M, GiveWay, Path, Route
 
@@ -117,121 +118,64 @@ class Street:
     still: Mapping[int, tuple[Array, Array]]
     driver: Driver
 
+    @cached_property
+    def used(self) -> dict[int, Indices]:
+        """Routes with somebody on them, each with who."""
+        found = np.array([one.route for one in self.vehicles])
+        return {number: np.flatnonzero(found == number) for number in dict.fromkeys(found.tolist())}
 
-def beside(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
-    """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
-    found = {}
-    for number in used:
-        s, aside = routes[number].path.nearest(fixed.reshape(-1, 2))
-        near = np.abs(aside) < routes[number].path.width
-        found[number] = s[near], aside[near]
-    return found
+    @cached_property
+    def nose(self) -> Array:
+        """(N,) from origins to front bumpers [m]."""
+        return np.array([one.ahead for one in self.vehicles])
 
+    @cached_property
+    def half(self) -> Array:
+        """(N,) half the widths [m]."""
+        return np.array([one.width / 2 for one in self.vehicles])
 
-def drive(street: Street, seconds: float) -> Run:
-    """Let all drive for a time [s], from speeds at which nobody has to brake hard at once."""
-    traffic = _Traffic.of(street)
-    s = np.array([one.s for one in street.vehicles])
-    v = np.array([one.v for one in street.vehicles])
-    v = np.minimum(v, traffic.limits(s, np.sqrt(1.5)))
-    for _ in range(INITIAL_ROUNDS):
-        gap, ahead = traffic.ahead(s, v, 0)
-        slower = np.minimum(v, safe_speed(gap - 0.5 * street.driver.standstill_m, ahead, street.driver.braking))
-        room = (CLOSER * gap - street.driver.standstill_m) / street.driver.headway_s
-        slower = np.minimum(slower, np.maximum(room, 0.0))
-        if np.allclose(slower, v):
-            break
-        v = slower
-    steps = round(np.ceil(seconds / STEP_S)) + 1
-    rows = []
-    for step in range(steps):
-        gap, ahead = traffic.ahead(s, v, step)
-        wish = np.minimum(traffic.v0, traffic.limits(s))
-        a = acceleration(street.driver, v, wish, gap, ahead)
-        a = np.where((v < 0.05) & (gap < street.driver.standstill_m + MOVES_UP_M), -v / STEP_S, a)
-        a = np.maximum(a, -v / STEP_S)
-        rows.append((s, v, a))
-        s, v = s + v * STEP_S + a * STEP_S**2 / 2.0, np.maximum(v + a * STEP_S, 0.0)
-    return Run(*(np.stack(column) for column in zip(*rows, strict=True)))
+    @cached_property
+    def around(self) -> Array:
+        """(N, POINTS, 2) outline of each vehicle in its own axes, right and ahead [m]."""
+        ends = np.array([(-one.behind, (one.ahead - one.behind) / 2, one.ahead) for one in self.vehicles])
+        across = self.half[:, None, None] * np.array([-1.0, 0.0, 1.0])
+        return np.stack(np.broadcast_arrays(across, ends[:, :, None]), axis=-1).reshape(-1, POINTS, 2)
 
-
-@dataclass(frozen=True)
-class _Traffic:
-    """A street with what does not change while it goes on.
-
-    Attributes:
-        street: it.
-        v0: (N,) wished speeds [m/s]; used: routes with somebody on them, each with who.
-        nose, half: (N,) from origin to front bumper, and half the width [m].
-        around: (N, 9, 2) outline of each vehicle in its own axes, right and ahead [m].
-        meets: for each line before a junction, by its place in its route: used routes, and where each meets it [m].
-    """
-
-    street: Street
-    v0: Array
-    nose: Array
-    half: Array
-    around: Array
-    used: dict[int, Array]
-    meets: dict[tuple[float, float], list[tuple[int, float]]]
-
-    @classmethod
-    def of(cls, street: Street) -> _Traffic:
-        """Of a street."""
-        every = street.vehicles
-        used = {
-            number: np.flatnonzero([one.route == number for one in every]) for number in {one.route for one in every}
-        }
-        meets: dict[tuple[float, float], list[tuple[int, float]]] = {}
-        for line in (line for number in used for line in street.routes[number].gives_way):
-            meets[line.meet] = []
-            for number in used:
-                at, aside = street.routes[number].path.nearest(np.array(line.meet))
-                if abs(float(aside)) < MEETS_M:
-                    meets[line.meet].append((number, float(at)))
-        return cls(
-            street,
-            np.array([one.v0 for one in every]),
-            np.array([one.ahead for one in every]),
-            np.array([one.width / 2 for one in every]),
-            np.array(
-                [
-                    [(side * one.width / 2, at) for at in (-one.behind, (one.ahead - one.behind) / 2, one.ahead)
-                     for side in (-1, 0, 1)]
-                    for one in every
-                ]
-            ).reshape(-1, POINTS, 2),
-            used,
-            meets,
-        )  # fmt: skip
+    @cached_property
+    def meets(self) -> dict[tuple[float, float], list[tuple[int, float]]]:
+        """For the place at which a line before a junction lets in: used routes, and where each comes by [m]."""
+        found: dict[tuple[float, float], list[tuple[int, float]]] = {}
+        for line in (line for number in self.used for line in self.routes[number].gives_way):
+            places = [(number, *self.routes[number].path.nearest(np.array(line.meet))) for number in self.used]
+            found[line.meet] = [(number, float(at)) for number, at, aside in places if abs(float(aside)) < MEETS_M]
+        return found
 
     def limits(self, s: Array, times: float = 1.0) -> Array:
         """(N,) speeds [m/s] that the bends allow, at `times` the usual."""
         found = np.full(len(s), np.inf)
         for number, who in self.used.items():
-            path = self.street.routes[number].path
+            path = self.routes[number].path
             found[who] = times * np.interp(s[who], path.s, path.limit)
         return found
 
     def ahead(self, s: Array, v: Array, step: int) -> tuple[Array, Array]:
         """(N,) gaps [m] to what each has to brake for, and its speed [m/s]; inf for nothing."""
-        street = self.street
         where = np.zeros((len(s), 2))
         heading = np.zeros(len(s))
         offset = np.zeros(len(s))
-        for i, one in enumerate(street.vehicles):
-            x, y, h = one.place(street.routes[one.route].path, s[i : i + 1])
+        for i, one in enumerate(self.vehicles):
+            x, y, h = one.place(self.routes[one.route].path, s[i : i + 1])
             where[i], heading[i], offset[i] = (x[0], y[0]), h[0], one.offset(s[i : i + 1])[0]
         c, n = np.cos(heading)[:, None], np.sin(heading)[:, None]
         across, along = self.around[..., 0], self.around[..., 1]
         outlines = where[:, None] + np.stack([across * c - along * n, across * n + along * c], axis=-1)
-        steps = np.clip(step + np.arange(0, round(LOOK_S / STEP_S) + 1, 5), 0, max(len(street.people) - 1, 0))
-        people = street.people[steps].reshape(-1, 2)
+        steps = np.clip(step + np.arange(0, round(LOOK_S / STEP_S) + 1, 5), 0, max(len(self.people) - 1, 0))
+        people = self.people[steps].reshape(-1, 2)
         gap, speed = np.full(len(s), np.inf), np.zeros(len(s))
         points = np.concatenate([outlines.reshape(-1, 2), people])
         mine = np.arange(POINTS * len(s)) // POINTS
         for number, who in self.used.items():
-            route = street.routes[number]
+            route = self.routes[number]
             front = s[who] + self.nose[who]
             side, half = offset[who][:, None], self.half[who][:, None]
             every_at, every_aside = route.path.nearest(points)
@@ -245,29 +189,64 @@ class _Traffic:
             free = at[None] - front[:, None] - BEFORE_PERSON_M
             blocks = (np.abs(aside[None] - side) < half + PERSON_M) & (free > -BEFORE_PERSON_M - 0.3)
             for zebra in route.zebras:
-                line = zebra - ZEBRA_LINE_M - front[:, None] + street.driver.standstill_m - AT_LINE_M
+                line = zebra - ZEBRA_LINE_M - front[:, None] + self.driver.standstill_m - AT_LINE_M
                 on = (np.abs(at[None] - zebra) < ZEBRA_HALF_M) & (line > 0.0)
                 free = np.where(on, np.minimum(free, line), free)
             _nearest(gap, speed, who, np.where(blocks, free, np.inf), None)
-            fixed, aside = street.still[number]
+            fixed, aside = self.still[number]
             blocks = (np.abs(aside[None] - side) < half + 0.05) & (fixed[None] > front[:, None])
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
             lines = [*route.red, *(one.s for one in route.gives_way if self._taken(one, s, v))]
             for line in lines:
                 left = (line - front)[:, None]
                 stops = (left > -OVER_LINE_M) & (v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
-                _nearest(gap, speed, who, np.where(stops, left + street.driver.standstill_m - AT_LINE_M, np.inf), None)
+                _nearest(gap, speed, who, np.where(stops, left + self.driver.standstill_m - AT_LINE_M, np.inf), None)
         return np.maximum(gap, 0.05), speed
 
     def _taken(self, line: GiveWay, s: Array, v: Array) -> bool:
         """Whether somebody who is in the junction already is about to come where a route from a line meets theirs."""
         for number, meet in self.meets[line.meet]:
-            who, route = self.used[number], self.street.routes[number]
+            who, route = self.used[number], self.routes[number]
             left = meet - s[who]
             inside = s[who] + self.nose[who] > max((one.s for one in route.gives_way), default=-np.inf)
             if (inside & (left > -self.nose[who]) & (left < np.maximum(FREE_M, v[who] * FREE_S))).any():
                 return True
         return False
+
+
+def beside(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
+    """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
+    found = {}
+    for number in used:
+        s, aside = routes[number].path.nearest(fixed.reshape(-1, 2))
+        near = np.abs(aside) < routes[number].path.width
+        found[number] = s[near], aside[near]
+    return found
+
+
+def drive(street: Street, seconds: float) -> Run:
+    """Let all drive for a time [s], from speeds at which nobody has to brake hard at once."""
+    s, v, v0 = np.array([(one.s, one.v, one.v0) for one in street.vehicles]).T
+    v = np.minimum(v, street.limits(s, np.sqrt(1.5)))
+    for _ in range(INITIAL_ROUNDS):
+        gap, ahead = street.ahead(s, v, 0)
+        slower = np.minimum(v, safe_speed(gap - 0.5 * street.driver.standstill_m, ahead, street.driver.braking))
+        room = (CLOSER * gap - street.driver.standstill_m) / street.driver.headway_s
+        slower = np.minimum(slower, np.maximum(room, 0.0))
+        if np.allclose(slower, v):
+            break
+        v = slower
+    steps = round(np.ceil(seconds / STEP_S)) + 1
+    rows = []
+    for step in range(steps):
+        gap, ahead = street.ahead(s, v, step)
+        wish = np.minimum(v0, street.limits(s))
+        a = acceleration(street.driver, v, wish, gap, ahead)
+        a = np.where((v < 0.05) & (gap < street.driver.standstill_m + MOVES_UP_M), -v / STEP_S, a)
+        a = np.maximum(a, -v / STEP_S)
+        rows.append((s, v, a))
+        s, v = s + v * STEP_S + a * STEP_S**2 / 2.0, np.maximum(v + a * STEP_S, 0.0)
+    return Run(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
 def _nearest(gap: Array, speed: Array, who: Array, free: Array, velocity: Array | None) -> None:

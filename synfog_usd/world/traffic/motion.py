@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import shapely
 
 from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import RecipeError
@@ -37,6 +38,10 @@ TURNED = math.radians(40.0)
 BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
 """Brake lights are on below this acceleration, and go on when one stops."""
 BLINKS_HZ = 1.5
+PASSED = ("Ground", "Buildings")
+"""What nobody has to go round: eaves of houses hang over the pavement."""
+OUTLINE_M = 0.5
+"""Between points of an outline, at most."""
 
 
 @dataclass(frozen=True)
@@ -121,10 +126,10 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     walkers = _walkers(spec)
     steps = np.arange(0.0, t[-1] + LOOK_S + 2 * STEP_S, STEP_S)
     move = {*walkers, *who, *(rider for rider, _ in _ridden(spec))}
-    still = [p for i, p in enumerate(spec.placed) if i not in move and _in_the_way(p)]
+    still = (p for i, p in enumerate(spec.placed) if i not in move and p.group not in PASSED)
     fixed = [rules.footprint(p) for p in still]
     places = walk.plan(list(walkers.values()), footways(spec.road), [*fixed, *_posts(spec)], steps, pace.seed)
-    outline = np.concatenate([_outline(corners) for corners in fixed]) if fixed else np.zeros((0, 2))
+    outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(one), OUTLINE_M) for one in fixed])
     still_at = beside(ways, {one.route for one in vehicles}, outline)
     vehicles = [
         replace(one, until=eased(ways[one.route].path, one, still_at[one.route], one.v0 * float(t[-1]) + 10.0))
@@ -218,11 +223,6 @@ def _walkers(spec: WorldSpec) -> dict[int, walk.Walker]:
     }
 
 
-def _in_the_way(p: Placement) -> bool:
-    """Whether one has to go round a thing: not the ground, nor houses, whose eaves hang over the pavement."""
-    return p.group not in ("Ground", "Buildings") and p.asset != "fallen_leaf"
-
-
 def _posts(spec: WorldSpec) -> list[Array]:
     """Outlines of what stands in numbers without being placed one by one: bollards."""
     return [
@@ -231,15 +231,6 @@ def _posts(spec: WorldSpec) -> list[Array]:
         if many.asset == "bollard"
         for point in many.points
     ]
-
-
-def _outline(corners: Array) -> Array:
-    """(N, 2) points along the edges of a (4, 2) outline, half a metre apart at most."""
-    sides = []
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        share = np.linspace(0.0, 1.0, max(2, math.ceil(float(np.hypot(*(b - a))) / 0.5) + 1))[:-1, None]
-        sides.append(a + share * (b - a))
-    return np.concatenate(sides)
 
 
 # -- where they are

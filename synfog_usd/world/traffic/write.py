@@ -11,13 +11,14 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from synfog_usd.base.arrays import Array, Flags
 from synfog_usd.world import authoring
+from synfog_usd.world.components import author_mesh
 from synfog_usd.world.lamps import LAMPS, tint
 from synfog_usd.world.roads import rules, stage
-from synfog_usd.world.shapes import Part
+from synfog_usd.world.shapes import Part, shift
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.traffic.motion import Clip, Track
 from synfog_usd.world.traffic.wheels import Wheels, sides_of, wheels_of
@@ -40,15 +41,14 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     """
     layer.startTimeCode, layer.endTimeCode = 0.0, float(clip.codes[-2])
     layer.timeCodesPerSecond = layer.framesPerSecond = clip.fps
-    with Sdf.ChangeBlock():
-        for index, track in sorted(clip.tracks.items()):
-            p = spec.placed[index]
-            prim = layer.GetPrimAtPath(f"/World/{p.group}/{p.name}")
-            _author_track(layer, prim, p, track, clip.codes)
-            if p.group == "Vehicles":
-                _author_wheels(layer, prim, p, track, clip.codes)
-                _author_lamps(layer, prim, p, track, clip.codes)
-        _author_cameras(layer, spec, clip)
+    for index, track in sorted(clip.tracks.items()):
+        p = spec.placed[index]
+        prim = layer.GetPrimAtPath(f"/World/{p.group}/{p.name}")
+        _author_track(layer, prim, p, track, clip.codes)
+        if p.group == "Vehicles":
+            _author_wheels(layer, prim, p, track, clip.codes)
+            _author_lamps(layer, prim, p, track, clip.codes)
+    _author_cameras(layer, spec, clip)
 
 
 # -- samples
@@ -138,57 +138,47 @@ def _refer(prim: Sdf.PrimSpec, parts: str) -> None:
     prim.instanceable = False
 
 
-def _abstract(layer: Sdf.Layer, path: str) -> None:
-    for one in (PARTS, path):
-        Sdf.CreatePrimInLayer(layer, one).specifier = Sdf.SpecifierClass
-
-
 def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
     """What a reference brings to a model whose wheels turn: the wheels, and meshes without them."""
-    _abstract(layer, path)
+    made = _begin(path)
     for name, part in wheels.left.items():
-        over = Sdf.CreatePrimInLayer(layer, f"{path}/Geometry/{name}")
         if part is None:
-            over.SetInfo("active", False)
+            made.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
         else:
-            _author_mesh(over, part, (0.0, 0.0, 0.0))
-    scope = Sdf.CreatePrimInLayer(layer, f"{path}/Wheels")
-    scope.specifier, scope.typeName = Sdf.SpecifierDef, "Scope"
+            author_mesh(made, Sdf.Path(f"{path}/Geometry/{name}"), part)
+    UsdGeom.Scope.Define(made, f"{path}/Wheels")
     for wheel in wheels.wheels:
-        root = Sdf.CreatePrimInLayer(layer, f"{path}/Wheels/{wheel.name}")
-        root.specifier, root.typeName = Sdf.SpecifierDef, "Xform"
-        _attribute(root, "xformOp:translate", KINDS.Double3, Gf.Vec3d(*wheel.axle))
-        for axis in "ZX":
-            _attribute(root, f"xformOp:rotate{axis}", KINDS.Float, 0.0)
-        _order(root, ["xformOp:translate", "xformOp:rotateZ", "xformOp:rotateX"])
+        root = UsdGeom.Xform.Define(made, f"{path}/Wheels/{wheel.name}")
+        root.AddTranslateOp().Set(Gf.Vec3d(*wheel.axle))
+        root.AddRotateZOp().Set(0.0)
+        root.AddRotateXOp().Set(0.0)
         for name, part in wheel.parts.items():
-            _define_mesh(layer, f"{path}/Wheels/{wheel.name}/{name}", part, wheel.axle, f"{path}/Materials/{name}")
+            _bound(
+                made,
+                f"{root.GetPath()}/{name}",
+                part.moved(shift(*(-v for v in wheel.axle))),
+                f"{path}/Materials/{name}",
+            )
+    _keep(layer, made, path)
 
 
-def _define_mesh(layer: Sdf.Layer, path: str, part: Part, middle: tuple[float, float, float], material: str) -> None:
-    """A part as a mesh with a material."""
-    mesh = Sdf.CreatePrimInLayer(layer, path)
-    mesh.specifier, mesh.typeName = Sdf.SpecifierDef, "Mesh"
-    Sdf.AttributeSpec(mesh, "subdivisionScheme", KINDS.Token, Sdf.VariabilityUniform).default = "none"
-    Sdf.AttributeSpec(mesh, "doubleSided", KINDS.Bool, Sdf.VariabilityUniform).default = True
-    _author_mesh(mesh, part, middle)
-    mesh.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["MaterialBindingAPI"]))
-    Sdf.RelationshipSpec(mesh, "material:binding", False).targetPathList.explicitItems = [Sdf.Path(material)]
+def _begin(path: str) -> Usd.Stage:
+    """A stage of its own with an abstract prim."""
+    made = Usd.Stage.CreateInMemory()
+    made.CreateClassPrim(path)
+    return made
 
 
-def _author_mesh(prim: Sdf.PrimSpec, part: Part, middle: tuple[float, float, float]) -> None:
-    """Points, normals and corners of a part, seen from its middle."""
-    points = np.round(part.points - middle, 5).astype(np.float32)
-    normals = np.zeros((0, 3)) if part.normals is None else part.normals
-    for name, kind, value in (
-        ("points", KINDS.Point3fArray, Vt.Vec3fArray.FromNumpy(points)),
-        ("normals", KINDS.Normal3fArray, Vt.Vec3fArray.FromNumpy(normals.astype(np.float32))),
-        ("faceVertexCounts", KINDS.IntArray, Vt.IntArray.FromNumpy(np.full(len(part.faces), 3, dtype=np.int32))),
-        ("faceVertexIndices", KINDS.IntArray, Vt.IntArray.FromNumpy(part.faces.astype(np.int32).ravel())),
-        ("extent", KINDS.Float3Array, Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)]))),
-    ):
-        Sdf.AttributeSpec(prim, name, kind).default = value
-    prim.attributes["normals"].SetInfo("interpolation", "vertex")
+def _bound(made: Usd.Stage, path: str, part: Part, material: str) -> None:
+    """A part as a mesh, with a material that is elsewhere."""
+    prim = author_mesh(made, Sdf.Path(path), part).GetPrim()
+    UsdShade.MaterialBindingAPI.Apply(prim).GetDirectBindingRel().SetTargets([material])
+
+
+def _keep(layer: Sdf.Layer, made: Usd.Stage, path: str) -> None:
+    """Take an abstract prim over into a layer."""
+    Sdf.CreatePrimInLayer(layer, PARTS).specifier = Sdf.SpecifierClass
+    Sdf.CopySpec(made.GetRootLayer(), path, layer, path)
 
 
 # -- lamps
@@ -216,20 +206,20 @@ def _author_indicators(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track
     if not sides:
         return
     parts += "_indicators"
+    if not layer.GetPrimAtPath(parts):
+        made = _begin(parts)
+        made.OverridePrim(f"{parts}/Geometry/{INDICATORS}").SetActive(False)
+        looks = Sdf.Layer.FindOrOpen(str(rules.model(p.asset).path.with_suffix(".mtl.usda")))
+        for side, half in sides.items():
+            material = made.OverridePrim(f"{parts}/Materials/{INDICATORS}_{side}").GetPath()
+            Sdf.CopySpec(looks, f"/{looks.defaultPrim}/Materials/{INDICATORS}", made.GetRootLayer(), material)
+            _bound(made, f"{parts}/Geometry/{INDICATORS}_{side}", half, str(material))
+        _keep(layer, made, parts)
     nits = LAMPS["indicator_rear"].nits
     lit = Gf.Vec3f(*(round(nits * part, 1) for part in tint("indicator_rear")))
-    for side, half in sides.items():
-        material = f"Materials/{INDICATORS}_{side}"
-        if not layer.GetPrimAtPath(f"{parts}/{material}"):
-            _abstract(layer, parts)
-            Sdf.CreatePrimInLayer(layer, f"{parts}/Geometry/{INDICATORS}").SetInfo("active", False)
-            Sdf.CreatePrimInLayer(layer, f"{parts}/Materials")
-            looks = Sdf.Layer.FindOrOpen(str(rules.model(p.asset).path.with_suffix(".mtl.usda")))
-            source = Sdf.Path(f"/{looks.defaultPrim}/Materials/{INDICATORS}")
-            Sdf.CopySpec(looks, source, layer, Sdf.Path(f"{parts}/{material}"))
-            _define_mesh(layer, f"{parts}/Geometry/{INDICATORS}_{side}", half, (0.0, 0.0, 0.0), f"{parts}/{material}")
-        way = 1 if side == "left" else -1
-        _author_emission(layer, prim.path.AppendPath(f"{material}/Surface"), track.blinks == way, (lit, DARK), codes)
+    for side, way in (("left", 1), ("right", -1)):
+        path = prim.path.AppendPath(f"Materials/{INDICATORS}_{side}/Surface")
+        _author_emission(layer, path, track.blinks == way, (lit, DARK), codes)
     _refer(prim, parts)
 
 
