@@ -1,7 +1,7 @@
 """Fog chambers as stages: a closed room with a colour chart, a lamp, a camera, a laser and a power meter.
 
 `write(folder)` writes the shipped ones as text; the same code gives the same bytes.  A chamber is one `Chamber`; what
-`synfog-usd study chamber` asks of a stage stands in `synfog_usd.lab.study.chamber`.
+`python -m studies.chamber` asks of a stage stands in `studies.chamber`.
 From a shell: `python -m assets.builders.chambers [folder]`.
 """
 

@@ -13,7 +13,7 @@ import typer
 from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
 from synfog_usd.base.errors import ParameterError, SynfogError
-from synfog_usd.cli import benchmark, dataset, options, study, train, worker
+from synfog_usd.cli import benchmark, dataset, options, study, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
@@ -30,7 +30,6 @@ app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(study.app, name="study")
-app.add_typer(train.app, name="train")
 
 
 def _folder(text: str) -> Path:

@@ -19,9 +19,9 @@ import pytest
 from scipy import constants
 from support import emva
 
+from studies.sensor_bench import Reading, SensorBench, bench, readings, transfer
 from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import shipped
-from synfog_usd.lab.study.bench import Reading, SensorBench, bench, readings, transfer
 
 READINGS = readings()
 LIGHT_NM = {"R": 600.0, "G": 540.0, "B": 460.0, "C": 560.0}

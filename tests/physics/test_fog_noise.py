@@ -11,10 +11,10 @@ import math
 
 import pytest
 
+from studies.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
 from synfog_usd import camera
 from synfog_usd.base import resources
 from synfog_usd.camera.profiles import load_sensor
-from synfog_usd.lab.study.pages.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
 
 pytestmark = pytest.mark.physics
 

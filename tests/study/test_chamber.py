@@ -8,11 +8,11 @@ from pxr import Usd
 from support import cli
 
 from assets.builders import chambers
+from studies import chamber as study
+from studies.chamber import departures, single_into_disc
 from synfog_usd.base import resources
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein
-from synfog_usd.lab.study import chamber as study
-from synfog_usd.lab.study.chamber import departures, single_into_disc
 from synfog_usd.stage import check, open_stage
 
 STAGES = resources.folder("stages")
@@ -161,9 +161,9 @@ def test_what_a_stage_lacks_is_one_line(tmp_path, change, told):
 
 
 def test_the_command_says_what_is_wrong(tmp_path):
-    done = cli.run("study", "chamber", tmp_path / "none.usda", "-o", tmp_path / "out")
+    done = cli.study("chamber", tmp_path / "none.usda", "-o", tmp_path / "out")
     assert done.returncode == 2 and "none.usda" in done.stderr and done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
     (tmp_path / "file").write_text("")
-    done = cli.run("study", "chamber", "-o", tmp_path / "file" / "out")
+    done = cli.study("chamber", "-o", tmp_path / "file" / "out")
     assert done.returncode == 2 and "is a file; give a folder" in done.stderr and done.stderr.count("\n") == 1

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
+from studies import finder
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.lab.benchmark import coco, decode, detectors
 from synfog_usd.lab.benchmark.detect import FoggedView, LabelledThing
-from synfog_usd.lab.study import finder
 
 CLASSES = ("car", "person")
 

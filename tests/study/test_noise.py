@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from support import cli
 
-from synfog_usd.base.errors import ParameterError
-from synfog_usd.base.image import Image, Quantity
-from synfog_usd.base.seeds import stream
-from synfog_usd.camera.writers import write_exr
-from synfog_usd.lab.study.noise import (
+from studies.noise import (
     NUMBERS,
     immerkaer,
     study,
 )
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.seeds import stream
+from synfog_usd.camera.writers import write_exr
 
 SIZE = (96, 128)
 
@@ -72,7 +72,7 @@ def test_defogging_lets_noise_grow_by_about_one_over_t(found):
 
 def test_the_command_writes_tables_and_a_drawing(tmp_path):
     bake(tmp_path / "bake")
-    done = cli.run("study", "noise", tmp_path / "bake", "-o", tmp_path / "out", "--cameras", "synfog")
+    done = cli.study("noise", tmp_path / "bake", "-o", tmp_path / "out", "--cameras", "synfog")
     assert done.returncode == 0, done.stderr
     assert "**synfog.** RAW: variance within" in done.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {

@@ -9,12 +9,12 @@ import pytest
 from PIL import Image as Picture
 from support import cli, raws
 
+from studies import sources, training
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import writers
 from synfog_usd.dataset.sets import layout
-from synfog_usd.lab.study import sources, training
 
 WIDE, HIGH = 32, 24
 T, AIR = 0.5, 0.7
@@ -127,11 +127,11 @@ def test_a_set_without_such_pictures_is_refused(whole):
     assert len(training.pairs(whole, "asm_estimated.noise_free", target="noise_free")) == 4
 
 
-def test_without_torch_a_line_names_the_extra(whole, tmp_path, monkeypatch):
+def test_without_torch_a_line_names_the_packages(whole, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    done = cli.run("train", "defog", whole, "-o", tmp_path / "out", "--quiet")
-    assert done.returncode == 2 and not (tmp_path / "out").exists()
-    assert done.stderr.strip().endswith("training needs PyTorch: pip install torch onnxscript onnxruntime")
+    with pytest.raises(ParameterError, match="training needs PyTorch: pip install torch onnxscript onnxruntime"):
+        training.main(whole, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_what_is_written_is_a_method_of_the_defogging_bench(whole, tmp_path, sma
     from synfog_usd.lab.benchmark.worker import MethodWorker
 
     out = tmp_path / "out"
-    done = cli.run("train", "defog", whole, "-o", out, "--input", taken, "--steps", "5")
+    done = cli.study("training", whole, "-o", out, "--raw", "--steps", "5")
     assert done.returncode == 0, done.stderr
     assert "4 pairs" in done.stdout and len((out / "losses.csv").read_text().splitlines()) == 6
     assert {path.name for path in out.iterdir()} == {

@@ -33,6 +33,13 @@ def process(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]
     return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, **more)
 
 
+def study(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """`python -m studies.<name>` in the project's folder, to its end."""
+    words = [sys.executable, "-m", f"studies.{name}", *map(str, arguments)]
+    root = Path(__file__).resolve().parents[2]
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, cwd=root)
+
+
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """The command line in this process, as in the child that does the work: exit code, standard output and error.
 

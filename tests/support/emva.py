@@ -1,6 +1,6 @@
 """A bench after EMVA 1288 that sees nothing but RAW files, and the standard body's own program as the judge.
 
-Frames are taken by `synfog_usd.lab.study.bench`, written as DNG and read again by
+Frames are taken by `studies.sensor_bench`, written as DNG and read again by
 LibRaw, one site of the colour filter pattern at a time.  The program (`emva1288` on
 PyPI, for release 4.0 of the standard) computes all results; it is told photons and
 exposure times, nothing of the sensor.
@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from studies.sensor_bench import SensorBench
 from synfog_usd.camera.writers import write_dng
-from synfog_usd.lab.study.bench import SensorBench
 
 LEVELS = (0.01, 0.02, 0.035, *np.linspace(0.05, 0.85, 13).tolist())
 LEVELS += (0.9, 0.92, 0.94, 0.955, 0.97, 0.98, 0.99, 1.0, 1.1, 1.2)

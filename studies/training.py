@@ -23,18 +23,20 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
+from studies import command, networks
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.cli.progress import shown as progress_bar
 from synfog_usd.dataset.exports import frames
 from synfog_usd.dataset.exports.frames import LabelledPicture
 from synfog_usd.lab.benchmark.raw import filter_planes
-from synfog_usd.lab.study import networks
 
 ASM_SRGB = "asm_srgb"
 WIDTH = 16
@@ -317,3 +319,30 @@ def psnr(restored: FloatArray, truth: FloatArray) -> float:
 
     codes = [np.rint(255.0 * np.clip(one, 0.0, 1.0)).astype(np.uint8) for one in (restored, truth)]
     return of_codes(codes[0], codes[1])
+
+
+def main(
+    source: command.Source,
+    out: command.Out,
+    raw: Annotated[bool, typer.Option("--raw", help="Take RAW instead of developed pictures.")] = False,
+    pipeline: Annotated[
+        str, typer.Option(help="Whose pictures in fog; asm_srgb.NAME mixes fog into the clear ones of NAME.")
+    ] = "synfog",
+    target: Annotated[str, typer.Option(help="Whose clear pictures are the aim; the pipeline's if left out.")] = "",
+    split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Of the first weights, and of what is drawn.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Batches of four squares of 96 pixels.")] = 2000,
+) -> None:
+    """Train a network of 0.15 million weights to see through fog, for `benchmark defog --methods OUT/methods.yaml`."""
+    networks.torch_library()
+    examples = pairs(source, pipeline, target=target, split=split, raw=raw)
+    with progress_bar(quiet=False) as (progress, _):
+        trained = train(examples, seed=seed, steps=steps, progress=progress)
+    write(trained, out)
+    last = trained.losses[-max(1, steps // 20) :]
+    print(f"{len(examples)} pairs; mean absolute error {sum(last) / len(last):.4f} of the last {len(last)} steps")
+    print(f"{out / 'methods.yaml'} is for synfog-usd benchmark defog --methods")
+
+
+if __name__ == "__main__":
+    command.run(main)

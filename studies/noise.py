@@ -16,11 +16,14 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from scipy import ndimage
 
+from studies import command
+from studies.sensor_bench import readings
 from synfog_usd import camera
 from synfog_usd.base import files
 from synfog_usd.base.arrays import Array
@@ -30,10 +33,10 @@ from synfog_usd.base.progress import Progress, silent
 from synfog_usd.camera.graph import NodeGraph
 from synfog_usd.camera.graph.cache import Cache
 from synfog_usd.camera.writers import read_exr
+from synfog_usd.cli.progress import shown
 from synfog_usd.lab.benchmark import statistics
 from synfog_usd.lab.benchmark.classics import dark_channel_fog
 from synfog_usd.lab.benchmark.statistics import Mean
-from synfog_usd.lab.study.bench import readings
 from synfog_usd.lab.study.scattering_model import FogPair, pairs, some
 
 FRAMES = 8
@@ -518,3 +521,22 @@ def _drawn(found: NoiseStudy) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
+
+
+def main(
+    source: command.Source,
+    out: command.Out,
+    cameras: Annotated[str, typer.Option(help="Shipped graphs or YAML files, comma-separated.")] = ",".join(CAMERAS),
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many foggy shots, drawn from all.")] = None,
+) -> None:
+    """Measure noise against fog: of RAW, of developed pictures, and after defogging."""
+    command.writable(out)
+    names = [name.strip() for name in cameras.split(",") if name.strip()]
+    with shown(quiet=False) as (progress, _):
+        found = study(source, cameras=names or CAMERAS, limit=limit, progress=progress)
+    write(found, out)
+    print(markdown(found))
+
+
+if __name__ == "__main__":
+    command.run(main)

@@ -19,15 +19,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from scipy import ndimage, stats
 
-from synfog_usd.base import seeds
+from studies import command
+from synfog_usd.base import resources, seeds
 from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import StageError
 from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.cli.progress import shown
 from synfog_usd.fog.airlight import estimated_airlight
 from synfog_usd.fog.medium import FogMedium
 from synfog_usd.fog.phase import Phase
@@ -622,3 +625,26 @@ def departures(rows: Sequence[PatchRow], walls: str, model: str) -> list[Departu
         low, high = statistics.interval(np.median(off[drawn].reshape(len(drawn), -1), axis=1))
         found.append(Departure(float(np.mean([row.tau for row in some])), float(np.median(off)), low, high, off.max()))
     return found
+
+
+def main(
+    out: command.Out,
+    stage: Annotated[
+        Path | None, typer.Argument(help="USD file of a fog chamber; the shipped one if left out.")
+    ] = None,
+    error: Annotated[float, typer.Option(help="Relative error to which each patch of the chart is rendered.")] = 0.01,
+    laser_error: Annotated[float, typer.Option(help="Relative error of the extinction that the laser reads.")] = 1e-3,
+) -> None:
+    """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
+    from studies import chamber_page
+
+    command.writable(out)
+    stage = stage or resources.folder("stages") / "chamber.usda"
+    with shown(quiet=False) as (progress, _):
+        found = study(stage, error=error, laser_error=laser_error, progress=progress)
+    chamber_page.write(found, out)
+    print(chamber_page.markdown(found))
+
+
+if __name__ == "__main__":
+    command.run(main)

@@ -21,21 +21,24 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
+from studies import command, networks
+from studies.training import shown
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.cli.progress import shown as progress_bar
 from synfog_usd.dataset.exports import taxonomy
 from synfog_usd.lab.benchmark import detect
 from synfog_usd.lab.benchmark.decode import GREY
 from synfog_usd.lab.benchmark.detect import FoggedView
-from synfog_usd.lab.study import networks
-from synfog_usd.lab.study.training import shown
 
+FOGS = ("all", "clear", "foggy")
 WIDTHS = (24, 40, 64, 96, 128)
 """Channels of the levels; 0.9 million weights altogether."""
 
@@ -101,6 +104,8 @@ def views(
     Raises:
         ParameterError: no such picture, or no such thing in them; a class that gets no boxes.
     """
+    if fogs not in FOGS:
+        raise ParameterError(f"--fogs {fogs}: takes {', '.join(FOGS)}")
     labels = [name for joined in classes for name in joined.split("+")]
     for name in labels:
         if name not in taxonomy.NAMES:
@@ -367,3 +372,31 @@ def write(found: TrainedFinder, out: Path) -> None:
     text = f"synfog: benchmark/1\ndetectors:\n  - {{name: {networks.name_of(out)}, {more}}}\n"
     files.write_bytes(out / "detectors.yaml", text.encode())
     networks.write_losses(out, found.losses, "loss")
+
+
+def main(
+    source: command.Source,
+    out: command.Out,
+    classes: Annotated[
+        str, typer.Option(help="Cityscapes' classes of things, comma-separated; + makes one class of several.")
+    ] = "car,person",
+    pipeline: Annotated[str, typer.Option(help="Whose pictures; all if left out.")] = "",
+    fogs: Annotated[str, typer.Option(help="Pictures that are learned from: clear, foggy or all.")] = "all",
+    split: Annotated[str, typer.Option(help="Split of a set; all if left out.")] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Of the first weights, and of what is drawn.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Batches of four squares of 160 pixels.")] = 8000,
+) -> None:
+    """Train a network of 0.9 million weights to find things, for `benchmark detect --model OUT/detectors.yaml`."""
+    networks.torch_library()
+    names = tuple(dict.fromkeys(name.strip() for name in classes.split(",") if name.strip()))
+    pictures = views(source, names, pipeline=pipeline, fogs=fogs, split=split)
+    with progress_bar(quiet=False) as (progress, _):
+        trained = train(pictures, names, seed=seed, steps=steps, progress=progress)
+    write(trained, out)
+    last = trained.losses[-max(1, steps // 20) :]
+    print(f"{len(pictures)} pictures; loss {sum(last) / len(last):.3f} of the last {len(last)} steps")
+    print(f"{out / 'detectors.yaml'} is for synfog-usd benchmark detect --model")
+
+
+if __name__ == "__main__":
+    command.run(main)

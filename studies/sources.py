@@ -21,19 +21,21 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
+from studies import command, networks, training
+from studies.training import TrainingPair
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.exports import frames
 from synfog_usd.lab.benchmark import page, statistics
 from synfog_usd.lab.benchmark.bench import RESULTS, digest, kept
-from synfog_usd.lab.study import networks, training
-from synfog_usd.lab.study.training import TrainingPair
 
 RAW = "raw."
 """Before a pipeline: its RAW."""
@@ -389,3 +391,26 @@ def _tile(picture: Any, caption: str) -> page.Tile:
 
     pixels = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8).transpose(1, 2, 0)
     return page.fitted(Image.fromarray(pixels)), caption
+
+
+def main(
+    source: Annotated[
+        Path, typer.Argument(help="Folder of a set with pipelines synfog and noise_free, and asm_estimated.")
+    ],
+    out: command.Out,
+    seeds: Annotated[int, typer.Option(min=1, help="Networks for each kind of fog and fold.")] = 3,
+    folds: Annotated[
+        int, typer.Option(min=2, help="Parts of the scenes; each is tested by networks of the others.")
+    ] = 3,
+    steps: Annotated[int, typer.Option(min=1, help="Of each training.")] = 400,
+    also: Annotated[Path | None, typer.Option(help="Another set, on which all are tested.")] = None,
+) -> None:
+    """Train on four kinds of fog and on RAW, and test each: what noise, multiple scattering and RAW are worth."""
+    command.writable(out)
+    with shown(quiet=False) as (progress, _):
+        found = study(source, out, seeds_count=seeds, folds=folds, steps=steps, also=also, progress=progress)
+    print(markdown(found))
+
+
+if __name__ == "__main__":
+    command.run(main)
