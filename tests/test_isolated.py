@@ -83,11 +83,6 @@ VERBS = {
     "dataset stats": ["set"],
     "benchmark detect": ["set", "-o", "found", "--model", "model.yaml"],
     "study asm": ["set", "-o", "asm"],
-    "study noise": ["set", "-o", "noise"],
-    "study chamber": ["-o", "chamber", "--error", "1", "--laser-error", "1"],
-    "study sources": ["set", "-o", "sources", "--steps", "1"],
-    "train defog": ["set", "-o", "defog", "--steps", "1"],
-    "train detect": ["set", "-o", "detect", "--steps", "1"],
 }
 """Every verb with words for a small piece of work in the folder of traps."""
 
@@ -95,11 +90,11 @@ MAKES = {"out": "bake", "set": "dataset run"}
 """Folders that verbs take, and the verb that makes them."""
 
 QUICK = ("check", "bake", "benchmark defog")
-LONG_S = {"selftest": 15, "study chamber": 15, "contact": 20}
+LONG_S = {"selftest": 15, "contact": 20}
 """Verbs that are ended after so many seconds: all is imported by then."""
 
-REFUSED = {"benchmark detect", "study asm", "study noise", "study sources", "train defog", "train detect"}
-"""Verbs that may find too little to do in so small a set, or no PyTorch; they end with a line."""
+REFUSED = {"benchmark detect", "study asm"}
+"""Verbs that may find too little to do in so small a set; they end with a line."""
 
 
 def verbs(group, before=""):

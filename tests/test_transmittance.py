@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from support.cli import run
 from support.stages import street
 
+from synfog_usd.dataset.job import bake
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.render.film import aovs
@@ -109,11 +109,8 @@ def test_the_transmittance_of_a_view_that_was_looked_at_in_clear_air_is_its_own(
 def test_a_bake_lists_things_with_the_transmittance_before_them(tmp_path):
     """exp(-3) before a wall at 50 m in fog of MOR 50, by the WMO's threshold of 5 %; 1 in clear air."""
     (tmp_path / "street.usda").write_text(street())
-    words = (
-        "--resolution", "32x18", "--samples", "2", "--model", "single", "--lighting", "sky", "--fog", "clear,mor50",
-    )  # fmt: skip
-    done = run("bake", tmp_path / "street.usda", "-o", tmp_path / "out", *words)
-    assert done.returncode == 0, done.stderr
+    small = {"resolution": "32x18", "samples": 2, "model": "single"}
+    bake(tmp_path / "street.usda", tmp_path / "out", lighting="sky", fog="clear,mor50", **small)
     for fog, wanted in (("clear", 1.0), ("mor50", 0.05)):
         listed = json.loads((tmp_path / "out" / "sky" / fog / "instances.json").read_text())["instances"]
         assert {row["path"]: row["transmittance"] for row in listed}["/World/Wall"] == pytest.approx(wanted, rel=1e-3)

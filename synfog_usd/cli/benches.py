@@ -7,9 +7,9 @@ import dataclasses
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
@@ -23,93 +23,76 @@ from synfog_usd.lab.benchmark.bench import picture as picture_of
 from synfog_usd.lab.benchmark.methods import chosen
 from synfog_usd.lab.benchmark.pairs import find, truth_of
 
+if TYPE_CHECKING:
+    from synfog_usd.cli.benchmark import DefogWords, DetectWords
+
 Item = TypeVar("Item")
 
 
-def defog(
-    source: Path,
-    out: Path,
-    *,
-    words: Sequence[str],
-    picture: str,
-    clear: str,
-    split: str,
-    limit: int | None,
-    retry: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def defog(words: DefogWords) -> None:
     """Run the bench; the exit code is 1 where a method gave no answer at all, 130 after Ctrl-C."""
-    methods = chosen(words)
-    pairs = find(source, picture=picture, clear=clear, split=split)
-    pairs = _spread(pairs, limit)
-    with _kept_in(out), shown(quiet) as (progress, log):
-        bench = bench_of.run(pairs, methods, out, retry=retry, progress=progress, log=log)
+    methods = chosen(_names(words.methods))
+    pairs = find(words.source, picture=words.picture, clear=words.clear, split=words.split)
+    pairs = _spread(pairs, words.limit)
+    with _kept_in(words.out), shown(words.quiet) as (progress, log):
+        bench = bench_of.run(pairs, methods, words.out, retry=words.retry, progress=progress, log=log)
     rows = page.rows(bench)
-    page.write(bench, rows, out)
-    if as_json:
-        found = [
-            {"method": method.name, "rank": rank, **{name: dataclasses.asdict(one) for name, one in means.items()}}
+    page.write(bench, rows, words.out)
+    if words.as_json:
+        table = [
+            {"method": method.name, "rank": rank, **{name: dataclasses.asdict(mean) for name, mean in means.items()}}
             for method, rank, means in rows
         ]
-        print(json.dumps(found, indent=2))
-    elif not quiet:
+        print(json.dumps(table, indent=2))
+    elif not words.quiet:
         print(page.markdown(bench, rows))
-        print(f"{out / 'pictures.png'} shows them side by side")
-    _refuse_silence(bench, out)
+        print(f"{words.out / 'pictures.png'} shows them side by side")
+    _refuse_silence(bench, words.out)
 
 
 def compare(mine: Path, shot: Path, *, picture: str, clear: str, as_json: bool) -> None:
     """Print how far a picture is from the one without fog."""
     truth = truth_of(shot, picture=picture, clear=clear)
-    found = metrics.measure(picture_of(mine), picture_of(truth))
+    distances = metrics.measure(picture_of(mine), picture_of(truth))
     if as_json:
-        print(json.dumps({"picture": str(mine), "truth": str(truth), **found}, indent=2))
+        print(json.dumps({"picture": str(mine), "truth": str(truth), **distances}, indent=2))
         return
     print(f"{mine} against {truth}:")
-    for name, value in found.items():
+    for name, value in distances.items():
         print(f"{metrics.METRICS[name].title:10} {value:.{metrics.METRICS[name].decimals}f}")
 
 
-def detect(
-    source: Path,
-    out: Path,
-    *,
-    models: Sequence[str],
-    before: Sequence[str],
-    picture: str,
-    split: str,
-    limit: int | None,
-    least_px: int,
-    retry: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def detect(words: DetectWords) -> None:
     """Run the bench; exit codes as `defog` has them."""
-    found = detectors.chosen(models)
-    defoggers = [None, *(chosen(before) if before else ())]
-    runs = [detection.DetectorRun(one, first) for one in found for first in defoggers]
-    views = _spread(detection.find(source, picture=picture, split=split), limit)
-    with _kept_in(out), shown(quiet) as (progress, log):
-        bench = detection.run(views, runs, out, retry=retry, progress=progress, log=log)
-    scored = {one.name: detection.scores(bench, one, least_px=least_px) for one in runs}
-    answered = [one for one in runs if scored[one.name].pictures]
+    models = detectors.chosen(words.model)
+    defoggers = [None, *(chosen(names) if (names := _names(words.before)) else ())]
+    runs = [detection.DetectorRun(model, defogger) for model in models for defogger in defoggers]
+    views = _spread(detection.find(words.source, picture=words.picture, split=words.split), words.limit)
+    with _kept_in(words.out), shown(words.quiet) as (progress, log):
+        bench = detection.run(views, runs, words.out, retry=words.retry, progress=progress, log=log)
+    least_px = words.least_px
+    scored = {run.name: detection.scores(bench, run, least_px=least_px) for run in runs}
+    answered = [run for run in runs if scored[run.name].pictures]
     ranks = detection.ranks(bench, answered, least_px=least_px)
     for name, rows in detection.gains(bench, answered, least_px=least_px).items():
         scored[name].rows += rows
     scored = {name: scored[name] for name in ranks}
-    detect_page.write(bench, scored, ranks, out)
-    if as_json:
+    detect_page.write(bench, scored, ranks, words.out)
+    if words.as_json:
         rows = [
             {"detector": name, "rank": ranks[name], **dataclasses.asdict(row), "value": _number(row.value)}
             for name, scores in scored.items()
             for row in scores.rows
         ]
         print(json.dumps(rows, indent=2))
-    elif not quiet:
+    elif not words.quiet:
         print(detect_page.markdown(bench, scored, ranks))
-        print(f"{out / 'pictures.png'} shows boxes")
-    _refuse_silence(bench, out)
+        print(f"{words.out / 'pictures.png'} shows boxes")
+    _refuse_silence(bench, words.out)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _number(value: float) -> float | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -39,41 +40,47 @@ def plan(
     verb.plan(file, as_json=as_json)
 
 
+@dataclass(kw_only=True)
+class RetryWords:
+    """Options of `dataset retry`."""
+
+    out: Folder
+    workers: Workers = None
+    scheduler: Scheduler = None
+    cluster: Cluster = None
+    limit: Limit = None
+    variant: Variant = "auto"
+    gpu: options.Gpu = None
+    quiet: Quiet = False
+    as_json: AsJson = False
+
+    def where(self) -> dict[str, Any]:
+        """On what machines units are made, and for how long, as `make_set` takes it."""
+        machines = {"workers": self.workers, "scheduler": self.scheduler, "batch": self.cluster}
+        return {**machines, "limit_s": self.limit, "variant": options.device(self.variant, self.gpu)}
+
+
+@dataclass(kw_only=True)
+class RunWords(RetryWords):
+    """Options of `dataset run`."""
+
+    file: Set
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set.")]
+    only: Annotated[str | None, typer.Option(help="Scenes by number, as in 17,40-60.")] = None
+    budget_gb: Annotated[float | None, typer.Option(min=0.0, help="Size at which no more is begun [GB].")] = None
+    repair: Annotated[bool, typer.Option("--repair", help="Look at every file, and make again what was changed.")] = (
+        False
+    )
+
+
 @app.command()
-def run(
-    file: Set,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the set.")],
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    cluster: Cluster = None,
-    only: Annotated[str | None, typer.Option(help="Scenes by number, as in 17,40-60.")] = None,
-    budget_gb: Annotated[float | None, typer.Option(min=0.0, help="Size at which no more is begun [GB].")] = None,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Look at every file, and make again what was changed.")
-    ] = False,
-    limit: Limit = None,
-    variant: Variant = "auto",
-    gpu: options.Gpu = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
+@options.spread
+def run(words: RunWords) -> None:
     """Make the SET, or go on with it: what is finished is kept."""
     from synfog_usd.cli import sets as verb
 
-    verb.run(
-        file,
-        out,
-        only=only,
-        quiet=quiet,
-        as_json=as_json,
-        workers=workers,
-        scheduler=scheduler,
-        batch=cluster,
-        budget_gb=budget_gb,
-        repair=repair,
-        limit_s=limit,
-        variant=options.device(variant, gpu),
-    )
+    limits = {"only": words.only, "budget_gb": words.budget_gb, "repair": words.repair}
+    verb.run(words.file, words.out, quiet=words.quiet, as_json=words.as_json, **limits, **words.where())
 
 
 @app.command()
@@ -99,33 +106,12 @@ def verify(out: Folder, quiet: Quiet = False, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def retry(
-    out: Folder,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    cluster: Cluster = None,
-    limit: Limit = None,
-    variant: Variant = "auto",
-    gpu: options.Gpu = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
+@options.spread
+def retry(words: RetryWords) -> None:
     """Take up what was set aside after three tries, and whatever else is missing."""
     from synfog_usd.cli import sets as verb
 
-    verb.run(
-        None,
-        out,
-        only=None,
-        quiet=quiet,
-        as_json=as_json,
-        workers=workers,
-        scheduler=scheduler,
-        batch=cluster,
-        limit_s=limit,
-        retry=True,
-        variant=options.device(variant, gpu),
-    )
+    verb.run(None, words.out, quiet=words.quiet, as_json=words.as_json, retry=True, **words.where())
 
 
 @app.command()

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from synfog_usd.camera.graph.schema import schema
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
 from synfog_usd.cli.worker import unheard
 
+if TYPE_CHECKING:
+    from synfog_usd.cli.main import GraphWords
+
 DEPTH = "depth"
 """Input, of data, that a bake's labels or the picture's own file can fill."""
 
@@ -30,34 +34,28 @@ GREY_CD_M2 = 500.0
 """Radiance of the even picture on which `show --resolution` measures."""
 
 
-def run(
-    pipeline: Path,
-    sources: Sequence[str],
-    out: Path,
-    *,
-    meter_on: Path | None,
-    changes: Sequence[str],
-    until: str | None,
-    seed: int,
-    cache: Path | None,
-    no_cache: bool,
-    repair: bool = False,
-    fov_x_deg: float | None = None,
-) -> None:
+def run(words: GraphWords) -> None:
     """Read the inputs, run, write the outputs, and print where they are and what each node took."""
-    graph = _changed(camera.load_graph(pipeline), changes)
-    wanted = _files(graph, until)
-    images = _inputs(sources, graph, repair, fov_x_deg)
+    graph = _changed(camera.load_graph(words.pipeline), words.change or [])
+    nodes = _files(graph, words.until)
+    images = _inputs(words.source, graph, words.repair, words.fov)
     exposure = (
-        camera.meter(_viewed(_read(meter_on, repair), graph, fov_x_deg), graph)
-        if meter_on
+        camera.meter(_viewed(_read(words.meter, words.repair), graph, words.fov), graph)
+        if words.meter
         else camera.metered(graph, images)
     )
-    keep, kept = list(wanted.values()), None if no_cache else _cache(cache)
-    results = camera.develop(graph, images, seed=seed, exposure=exposure, until=until, keep=keep, cache=kept)
-    for name, node in wanted.items():
+    results = camera.develop(
+        graph,
+        images,
+        seed=words.seed,
+        exposure=exposure,
+        until=words.until,
+        keep=list(nodes.values()),
+        cache=None if words.no_cache else _cache(words.cache),
+    )
+    for name, node in nodes.items():
         options = graph.options_of(name) if graph.outputs.get(name) == node else {}
-        print(writers.write_output(name, results[node], out, options=options))
+        print(writers.write_output(name, results[node], words.out, options=options))
     if exposure is not None:
         print(f"exposure: {exposure}", file=sys.stderr)
     settings = exposure.settings if exposure else None

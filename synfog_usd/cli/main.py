@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,12 +33,6 @@ app.add_typer(benchmark.app, name="benchmark")
 app.add_typer(study.app, name="study")
 
 
-def _folder(text: str) -> Path:
-    if not text.strip():
-        raise ParameterError(f"--out {text!r}: no name of a folder; . is this one")
-    return Path(text)
-
-
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
@@ -45,224 +40,78 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
         raise typer.Exit
 
 
-@app.command()
-def bake(
-    stage: options.Stage,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            parser=_folder,
-            help="Folder for everything that is written; out/<name of the stage> if left out.",
-            show_default=False,
-        ),
-    ] = None,
-    pipeline: options.Pipeline = None,
-    lighting: options.Lightings = None,
-    fog: options.Fogs = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="Cameras by path or name, comma-separated, or a prim above them; of several each has a folder."
-        ),
-    ] = None,
-    meter: Annotated[
-        str, typer.Option(help="Expose several cameras together, by what all see, or each by itself.")
-    ] = "together",
-    frame: options.Frame = None,
+@dataclass(kw_only=True)
+class BakeWords(options.View):
+    """Options of `bake`."""
+
     frames: Annotated[
         str | None,
         typer.Option(
             help="Time codes FIRST:LAST or FIRST:LASTxSTEP, as 0:90x2: a folder for each, and clips in OUT/clips."
         ),
-    ] = None,
-    adaptation: Annotated[
-        float, typer.Option(help="Seconds in which the automatic exposure of --frames goes 63 % of the way.")
-    ] = 0.3,
-    shutter: Annotated[
-        float | None,
-        typer.Option(
-            help="Seconds for which the shutter is open, instead of the camera's own: what moves is blurred, and what "
-            "has physics:velocity."
-        ),
-    ] = None,
-    exposure: options.Exposure = None,
-    iso: options.Iso = None,
-    ev: options.Ev = 0.0,
-    lights: Annotated[
-        str,
-        typer.Option(
-            help=(
-                "How intensities are meant: usd, blender, rtx-legacy, metric; auto goes by the program that wrote them."
-            )
-        ),
-    ] = "auto",
-    choices: options.Choices = None,
-    metres_per_unit: options.MetresPerUnit = None,
-    up: options.Up = None,
-    max_distance: Annotated[
-        float | None,
-        typer.Option(help="Leave models unloaded that are farther from the camera than this many metres."),
-    ] = None,
-    mask: Annotated[
-        str | None,
-        typer.Option(
-            help="Prims of which alone the stage is made, with cameras, lights and fog, as /World/Street,/World/Cars."
-        ),
-    ] = None,
-    light_scale: options.LightScale = 1.0,
-    sun_lux: options.SunLux = None,
-    resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None,
-    model: Annotated[
-        str,
-        typer.Option(
-            help=(
-                "How light is transported: path, single, or Mitsuba's volpath and volpathmis; auto is path, or volpath "
-                "where path knows no such fog."
-            )
-        ),
-    ] = "auto",
-    quality: options.Quality = numbers.STANDARD,
-    samples: options.Samples = None,
+    ] = None
+    resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None
+    quality: options.Quality = numbers.STANDARD
+    samples: options.Samples = None
     target_error: Annotated[
         float | None,
         typer.Option(help="Relative error of a pixel to stop at, as 0.01, instead of what --quality promises."),
-    ] = None,
+    ] = None
     bands: Annotated[
         int, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands.")
-    ] = numbers.RGB,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    same_noise: Annotated[
-        bool,
-        typer.Option("--same-noise", help="Give all fogs of a lighting the temporal noise of its clear frame."),
-    ] = False,
-    variant: options.Variant = "auto",
-    gpu: options.Gpu = None,
-    allow: options.Allow = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Stop, with exit code 1, at whatever is not understood.")
-    ] = False,
-    quiet: options.Quiet = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False,
-) -> None:
-    """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
-    from synfog_usd.cli import bake as verb
-
-    verb.run(
-        dict(
-            stage=stage,
-            out=out,
-            pipeline=pipeline,
-            lighting=lighting,
-            fog=fog,
-            meter=meter,
-            frame=frame,
-            lights=lights,
-            light_scale=light_scale,
-            sun_lux=sun_lux,
-            choose=choices,
-            meters_per_unit=metres_per_unit,
-            up=up,
-            shutter=shutter,
-            exposure=exposure,
-            iso=iso,
-            ev=ev,
-            max_distance=max_distance,
-            mask=mask,
-            resolution=resolution,
-            model=model,
-            quality=quality,
-            samples=samples,
-            target_error=target_error,
-            bands=bands,
-            seed=seed,
-            same_noise=same_noise,
-            variant=options.device(variant, gpu),
-            allow=allow,
-            strict=strict,
-            camera=camera,
-            frames=frames,
-            adaptation=adaptation,
-        ),
-        quiet=quiet,
-        as_json=as_json,
-    )
+    ] = numbers.RGB
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False
 
 
 @app.command()
-def preview(
-    stage: options.Stage,
+@options.spread
+def bake(words: BakeWords) -> None:
+    """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
+    from synfog_usd.cli import bake as verb
+
+    asked = words.asked()
+    verb.run(asked, quiet=words.quiet, as_json=asked.pop("as_json"))
+
+
+@dataclass(kw_only=True)
+class PreviewWords(options.View):
+    """Options of `preview`."""
+
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             "-o",
-            parser=_folder,
+            parser=options.folder,
             help="Folder for the pictures and contact.png; out/preview/<name of the stage> if left out.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
+    camera: options.Camera = None
     watch: Annotated[
         bool, typer.Option("--watch", help="Draw again on each save of a file that STAGE is made of, until Ctrl-C.")
-    ] = False,
+    ] = False
     terminal: Annotated[
         str, typer.Option(help="Pictures in the terminal: colours, 256 or none; auto goes by its variables.")
-    ] = "auto",
-    pipeline: options.Pipeline = None,
-    lighting: options.Lightings = None,
-    fog: options.Fogs = None,
-    camera: options.Camera = None,
-    frame: options.Frame = None,
-    choices: options.Choices = None,
-    metres_per_unit: options.MetresPerUnit = None,
-    up: options.Up = None,
-    light_scale: options.LightScale = 1.0,
-    sun_lux: options.SunLux = None,
-    exposure: options.Exposure = None,
-    iso: options.Iso = None,
-    ev: options.Ev = 0.0,
-    resolution: options.Resolution = "320x180",
-    samples: options.Samples = 2,
-    variant: options.Variant = "auto",
-    gpu: options.Gpu = None,
-    allow: options.Allow = None,
-    quiet: options.Quiet = False,
-) -> None:
+    ] = "auto"
+    resolution: options.Resolution = "320x180"
+    samples: options.Samples = 2
+
+
+@app.command()
+@options.spread
+def preview(words: PreviewWords) -> None:
     """Draw STAGE small and clean, every lighting in every fog, in the terminal and as a bake's files."""
     from synfog_usd.cli import preview as verb
     from synfog_usd.cli.terminal import KINDS
 
-    if terminal not in ("auto", *KINDS):
-        raise ParameterError(f"--terminal {terminal}: takes auto, {', '.join(KINDS)}")
-    verb.run(
-        dict(
-            stage=stage,
-            out=out or Path("out") / "preview" / stage.stem,
-            pipeline=pipeline,
-            lighting=lighting,
-            fog=fog,
-            camera=camera,
-            frame=frame,
-            choose=choices,
-            meters_per_unit=metres_per_unit,
-            up=up,
-            light_scale=light_scale,
-            sun_lux=sun_lux,
-            exposure=exposure,
-            iso=iso,
-            ev=ev,
-            resolution=resolution,
-            samples=samples,
-            bands=3,
-            draft=True,
-            variant=options.device(variant, gpu),
-            allow=allow,
-        ),
-        watch=watch,
-        how=None if terminal == "auto" else terminal,  # type: ignore[arg-type]
-        quiet=quiet,
-    )
+    if words.terminal not in ("auto", *KINDS):
+        raise ParameterError(f"--terminal {words.terminal}: takes auto, {', '.join(KINDS)}")
+    asked = {**words.asked(), "out": words.out or Path("out") / "preview" / words.stage.stem, "bands": 3, "draft": True}
+    del asked["watch"], asked["terminal"]
+    how = None if words.terminal == "auto" else words.terminal
+    verb.run(asked, watch=words.watch, how=how, quiet=words.quiet)  # type: ignore[arg-type]
 
 
 @app.command()
@@ -270,8 +119,6 @@ def check(
     stage: Annotated[Path, typer.Argument(help="USD file.")],
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
     choices: options.Choices = None,
-    metres_per_unit: options.MetresPerUnit = None,
-    up: options.Up = None,
     allow: options.Allow = None,
     fix: Annotated[
         Path | None,
@@ -285,32 +132,33 @@ def check(
     """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
     would stop.
     """
-    numbers.check_space(metres_per_unit=metres_per_unit, up=up)
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
     from synfog_usd.dataset import check as verb
 
-    read = dict(allow=allow or [], choices=choices or [], metres_per_unit=metres_per_unit, up=up)
+    read = dict(allow=allow or [], choices=choices or [])
     with worker.reading_limits():
         fixes = None
         if fix is not None:
             fixes = verb.mended(stage, fix, **read)
             stage = fix
-        found, notes, light = verb.look(stage, **read)
-    code = verb.exit_code(found, notes, strict=strict)
+        findings, notes, light = verb.look(stage, **read)
+    code = verb.exit_code(findings, notes, strict=strict)
     if as_json:
-        print(verb.as_json(stage, found, notes, code, light, fixes))
+        print(verb.as_json(stage, findings, notes, code, light, fixes))
     else:
         for line in fixes or []:
             print(f"mended: {line}")
-        print(verb.as_text(stage, found, notes, light))
+        print(verb.as_text(stage, findings, notes, light))
     raise typer.Exit(code)
 
 
-@app.command()
-def chart(
-    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None,
+@dataclass(kw_only=True)
+class ChartWords:
+    """Options of `chart`."""
+
+    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None
     out: Annotated[
         Path | None,
         typer.Option(
@@ -319,36 +167,34 @@ def chart(
             help="Folder for chart.csv, .svg, .png and .html, and notes.txt.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     suite: Annotated[
         bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with index.html and summary.csv.")
-    ] = False,
+    ] = False
     fog: Annotated[
         str | None,
         typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out."),
-    ] = None,
-    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
-    camera: options.Camera = None,
-    resolution: options.Resolution = "160x90",
+    ] = None
+    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None
+    camera: options.Camera = None
+    resolution: options.Resolution = "160x90"
     samples: Annotated[
         str | None,
         typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out."),
-    ] = None,
+    ] = None
     models: Annotated[
         str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")
-    ] = None,
+    ] = None
     depth: Annotated[
         str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")
-    ] = "4",
-    bands: Annotated[
-        str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")
-    ] = "none",
+    ] = "4"
+    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none"
     quality: Annotated[
         str, typer.Option(help="Words of bake's --quality to show beside the models, comma-separated, or none.")
-    ] = ",".join(numbers.QUALITIES),
+    ] = ",".join(numbers.QUALITIES)
     reference: Annotated[
         int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")
-    ] = None,
+    ] = None
     time_limit: Annotated[
         float | None,
         typer.Option(
@@ -357,52 +203,55 @@ def chart(
                 "--samples is given."
             )
         ),
-    ] = None,
-    target: Annotated[
-        float, typer.Option(help="Total error; the fewest samples of auto that reach it are ringed.")
-    ] = 0.03,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
-    variant: options.Variant = "auto",
-    gpu: options.Gpu = None,
-    allow: options.Allow = None,
-    quiet: options.Quiet = False,
-) -> None:
+    ] = None
+    target: Annotated[float, typer.Option(help="Total error; the fewest samples of auto that reach it are ringed.")] = (
+        0.03
+    )
+    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0
+    variant: options.Variant = "auto"
+    gpu: options.Gpu = None
+    allow: options.Allow = None
+    quiet: options.Quiet = False
+
+
+@app.command()
+@options.spread
+def chart(words: ChartWords) -> None:
     """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE, or
     on every stage of a folder.
     """
-    if suite == (stage is not None):
-        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
-    if out is None:
-        raise ParameterError("chart: needs --out FOLDER")
-    if stage is None:
-        from synfog_usd.base.resources import folder
+    from synfog_usd.base.resources import folder
 
-        stage = folder("stages") / "bench"
+    if words.suite == (words.stage is not None):
+        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
+    if words.out is None:
+        raise ParameterError("chart: needs --out FOLDER")
+    stage = words.stage or folder("stages") / "bench"
     plan = dict(
         stage=stage,
-        out=out,
-        fog=fog,
-        lighting=lighting,
-        camera=camera,
-        size=numbers.size_of(resolution),
-        samples=numbers.counts_of(samples, "--samples") if samples is not None else None,
-        models=numbers.names_of(models, "--models"),
-        depth=() if depth == "none" else numbers.counts_of(depth, "--depth"),
-        bands=() if bands == "none" else numbers.counts_of(bands, "--bands"),
-        quality=() if quality == "none" else numbers.names_of(quality, "--quality"),
-        reference_samples=reference,
-        time_limit=time_limit,
-        target=target,
-        seed=seed,
-        variant=options.device(variant, gpu),
-        allow=tuple(allow or ()),
+        out=words.out,
+        fog=words.fog,
+        lighting=words.lighting,
+        camera=words.camera,
+        size=numbers.size_of(words.resolution),
+        samples=numbers.counts_of(words.samples, "--samples") if words.samples is not None else None,
+        models=numbers.names_of(words.models, "--models"),
+        depth=() if words.depth == "none" else numbers.counts_of(words.depth, "--depth"),
+        bands=() if words.bands == "none" else numbers.counts_of(words.bands, "--bands"),
+        quality=() if words.quality == "none" else numbers.names_of(words.quality, "--quality"),
+        reference_samples=words.reference,
+        time_limit=words.time_limit,
+        target=words.target,
+        seed=words.seed,
+        variant=options.device(words.variant, words.gpu),
+        allow=tuple(words.allow or ()),
     )
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
     worker.follow_parent()
     from synfog_usd.cli import chart as verb
 
-    verb.run(plan, quiet=quiet)
+    verb.run(plan, quiet=words.quiet)
 
 
 @app.command()
@@ -447,51 +296,55 @@ def compose(
     print(f"{out}: {groups['Vehicles']} vehicles and bicycles, {groups['People']} people, fogs {', '.join(spec.fog)}")
 
 
-@app.command()
-def contact(
+@dataclass(kw_only=True)
+class ContactWords:
+    """Options of `contact`."""
+
     recipe: Annotated[
         Path, typer.Argument(help="YAML recipe, one that ships by its name, or a folder: seeds go round.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")],
-    seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15",
-    lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky",
-    fog: Annotated[
-        str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")
-    ] = "clear,mor300",
-    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180",
-    columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0,
-    samples: options.Samples = 16,
-    model: Annotated[str, typer.Option(help="How light is transported; see bake.")] = "auto",
-    variant: options.Variant = "auto",
-    gpu: options.Gpu = None,
-    change: options.Changes = None,
-    quiet: options.Quiet = False,
-) -> None:
+    ]
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")]
+    seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15"
+    lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky"
+    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")] = (
+        "clear,mor300"
+    )
+    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180"
+    columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0
+    samples: options.Samples = 16
+    variant: options.Variant = "auto"
+    gpu: options.Gpu = None
+    change: options.Changes = None
+    quiet: options.Quiet = False
+
+
+@app.command()
+@options.spread
+def contact(words: ContactWords) -> None:
     """Show small previews of the stages that RECIPE draws, for choosing seeds."""
     if not worker.is_worker():
-        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), recipe))
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), words.recipe))
     worker.follow_parent()
     from synfog_usd.cli.progress import shown
     from synfog_usd.dataset import sheet
 
-    size = numbers.size_of(resolution)
+    size = numbers.size_of(words.resolution)
     assert size is not None
     plan = sheet.SheetPlan(
-        recipes=sheet.recipes_of(recipe),
-        seeds=sheet.seeds_of(seeds),
-        out=out,
-        lighting=lighting,
-        fogs=numbers.names_of(fog, "--fog") or (),
+        recipes=sheet.recipes_of(words.recipe),
+        seeds=sheet.seeds_of(words.seeds),
+        out=words.out,
+        lighting=words.lighting,
+        fogs=numbers.names_of(words.fog, "--fog") or (),
         size=size,
-        columns=max(0, columns),
-        samples=samples,
-        model=model,
-        variant=options.device(variant, gpu),
-        changes=tuple(change or ()),
+        columns=max(0, words.columns),
+        samples=words.samples,
+        variant=options.device(words.variant, words.gpu),
+        changes=tuple(words.change or ()),
     )
-    with shown(quiet) as (progress, log):
+    with shown(words.quiet) as (progress, log):
         sheet.write(plan, progress=progress, log=log)
-    print(out)
+    print(words.out)
 
 
 @app.command()
@@ -622,50 +475,44 @@ def graph_show(
     verb.show(pipeline, source or [], size=numbers.size_of(resolution), changes=change or [], mermaid=mermaid, svg=svg)
 
 
-@graph_app.command("run")
-def graph_run(
-    pipeline: options.Graph,
-    source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path(),
-    meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None,
-    change: options.Overrides = None,
+@dataclass(kw_only=True)
+class GraphWords:
+    """Options of `graph run`."""
+
+    pipeline: options.Graph
+    source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")]
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path()
+    meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None
+    change: options.Overrides = None
     until: Annotated[
         str | None,
         typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    ] = None
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0
     cache: Annotated[
         Path | None,
         typer.Option(
             help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.",
             show_default=False,
         ),
-    ] = None,
-    no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False,
+    ] = None
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False
     repair: Annotated[
         bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")
-    ] = False,
+    ] = False
     fov: Annotated[
         float | None,
         typer.Option(help="Horizontal field of view of the inputs [degrees]; else what they say, or lens and sensor."),
-    ] = None,
-) -> None:
+    ] = None
+
+
+@graph_app.command("run")
+@options.spread
+def graph_run(words: GraphWords) -> None:
     """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
     from synfog_usd.cli import graph as verb
 
-    verb.run(
-        pipeline,
-        source,
-        out,
-        meter_on=meter,
-        changes=change or [],
-        until=until,
-        seed=seed,
-        cache=cache,
-        no_cache=no_cache,
-        repair=repair,
-        fov_x_deg=fov,
-    )
+    verb.run(words)
 
 
 @graph_app.command("explain")
@@ -769,14 +616,48 @@ OLD_WORDS = {
 }
 """Verb -> what one of its options was called, and is now."""
 
+STAGE_WORDS = {
+    "--meters-per-unit": "write metersPerUnit into the stage or a layer over it, or call sf.bake(..., "
+    "meters_per_unit=0.01)",
+    "--up": "write upAxis into the stage or a layer over it, or call sf.bake(..., up='Z')",
+}
+
+GONE = {
+    "bake": {
+        **STAGE_WORDS,
+        "--meter": "a set's file takes 'meter: each', and Python sf.bake(..., meter='each')",
+        "--adaptation": "call sf.bake(..., frames='0:90', adaptation=0.3)",
+        "--shutter": "write shutter:open and shutter:close of the camera, or call sf.bake(..., shutter=0.01)",
+        "--lights": "call sf.bake(..., lights='metric')",
+        "--max-distance": "call sf.bake(..., max_distance=200)",
+        "--mask": "call sf.bake(..., mask=['/World/Street'])",
+        "--model": "call sf.bake(..., model='volpath'); synfog-usd chart compares models",
+        "--same-noise": "a set's file takes 'same_noise: true', and Python sf.bake(..., same_noise=True)",
+        "--strict": "synfog-usd check STAGE --strict tells before a bake; or call sf.bake(..., strict=True)",
+    },
+    "preview": STAGE_WORDS,
+    "check": STAGE_WORDS,
+    "contact": {"--model": "synfog-usd chart compares models"},
+}
+"""Verb -> options that it had -> what to do instead."""
+
 
 def _in_new_words(arguments: list[str]) -> list[str]:
-    """A command line with the options' new names; a line says so."""
-    old, new = OLD_WORDS.get(arguments[0], ("", "")) if arguments else ("", "")
+    """A command line with the options' new names; a line says so.
+
+    Raises:
+        ParameterError: an option that is no more, with what to do instead.
+    """
+    verb = arguments[0] if arguments else ""
+    for word in arguments:
+        option = word.partition("=")[0]
+        if instead := GONE.get(verb, {}).get(option):
+            raise ParameterError(f"{verb} takes no {option}: {instead}")
+    old, new = OLD_WORDS.get(verb, ("", ""))
     if not old or not any(word == old or word.startswith(f"{old}=") for word in arguments):
         return arguments
     if not worker.is_worker():
-        print(f"synfog-usd: {old} of {arguments[0]} is called {new} now", file=sys.stderr)
+        print(f"synfog-usd: {old} of {verb} is called {new} now", file=sys.stderr)
     return [new + word.removeprefix(old) if word == old or word.startswith(f"{old}=") else word for word in arguments]
 
 

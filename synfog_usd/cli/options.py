@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -22,6 +27,42 @@ def _variants_of_stage(ctx: typer.Context, incomplete: str) -> list[str]:
     except (SynfogError, StopIteration):
         return []
     return [choice for choice in choices if choice.startswith(incomplete)]
+
+
+Options = TypeVar("Options")
+
+
+def spread(verb: Callable[[Options], None]) -> Callable[..., None]:
+    """A verb of one dataclass, as typer wants it: each field of the dataclass is a parameter of its own."""
+    (kind,) = (hint for name, hint in get_type_hints(verb).items() if name != "return")
+    hints = get_type_hints(kind, include_extras=True)
+
+    @functools.wraps(verb)
+    def with_words(**words: Any) -> None:
+        verb(kind(**words))
+
+    parameters = []
+    for field in dataclasses.fields(kind):
+        default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+        annotation = hints[field.name]
+        parameters.append(
+            inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        )
+    del with_words.__wrapped__  # type: ignore[attr-defined]
+    with_words.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    with_words.__annotations__ = hints
+    return with_words
+
+
+def folder(text: str) -> Path:
+    """A path that is typed as a folder's.
+
+    Raises:
+        ParameterError: it is empty.
+    """
+    if not text.strip():
+        raise ParameterError(f"--out {text!r}: no name of a folder; . is this one")
+    return Path(text)
 
 
 Stage = Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")]
@@ -50,16 +91,10 @@ Overrides = Annotated[
 ]
 Exposure = Annotated[
     str | None,
-    typer.Option(
-        help="Exposure time in seconds, as 1/200, instead of the meter's; what moves is blurred by --shutter."
-    ),
+    typer.Option(help="Exposure time in seconds, as 1/200, instead of the meter's."),
 ]
 Iso = Annotated[float | None, typer.Option(help="ISO speed instead of the meter's.")]
 Ev = Annotated[float, typer.Option(help="Stops by which the meter exposes brighter, as -1 for half of the light.")]
-MetresPerUnit = Annotated[
-    float | None, typer.Option("--meters-per-unit", help="Length in metres of the stage's unit, instead of its own.")
-]
-Up = Annotated[str | None, typer.Option(help="Axis of the stage that points up: X, Y or Z, instead of its own.")]
 LightScale = Annotated[float, typer.Option(help="Multiply all lights by this.")]
 SunLux = Annotated[
     float | None,
@@ -87,6 +122,50 @@ Graph = Annotated[Path, typer.Argument(help="YAML node graph, or the name of one
 SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
 Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
 Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")]
+
+
+@dataclass(kw_only=True)
+class View:
+    """What `bake` and `preview` take: a stage, what is made of it and where, and how it is exposed."""
+
+    stage: Stage
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            parser=folder,
+            help="Folder for everything that is written; out/<name of the stage> if left out.",
+            show_default=False,
+        ),
+    ] = None
+    pipeline: Pipeline = None
+    lighting: Lightings = None
+    fog: Fogs = None
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Cameras by path or name, comma-separated, or a prim above them; of several each has a folder."
+        ),
+    ] = None
+    frame: Frame = None
+    choose: Choices = None
+    exposure: Exposure = None
+    iso: Iso = None
+    ev: Ev = 0.0
+    light_scale: LightScale = 1.0
+    sun_lux: SunLux = None
+    variant: Variant = "auto"
+    gpu: Gpu = None
+    allow: Allow = None
+    quiet: Quiet = False
+
+    def asked(self) -> dict[str, Any]:
+        """Values by option, as `plan_of` takes them; what only the command line knows is left out."""
+        words = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        for name in ("gpu", "quiet"):
+            del words[name]
+        return {**words, "variant": device(self.variant, self.gpu)}
 
 
 def device(variant: str, gpu: int | None) -> str:

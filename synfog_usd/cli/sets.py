@@ -57,11 +57,11 @@ def print_offers() -> None:
             print(json.dumps(offers.of_stage(Path(path))), flush=True)
 
 
-def run(file: Path | None, out: Path, *, only: str | None, quiet: bool, as_json: bool, **more: Any) -> None:
+def run(file: Path | None, out: Path, *, quiet: bool, as_json: bool, **more: Any) -> None:
     """Make a set; the exit code is 1 where units were set aside or a budget stopped it, 130 after Ctrl-C."""
     try:
         with shown(quiet) as (progress, log), worker.stopped_by_sigterm():
-            outcome = make_set(file, out, only=only, progress=progress, log=log, **more)
+            outcome = make_set(file, out, progress=progress, log=log, **more)
     except KeyboardInterrupt:
         again = f"synfog-usd dataset run {file} -o {out}" if file else f"synfog-usd dataset retry {out}"
         print(f"synfog-usd: stopped. Finished units are kept in {out}; {again} goes on from there", file=sys.stderr)

@@ -49,7 +49,7 @@ def asm(
     if source.suffix == ".yaml" or (str(source) in shipped() and not source.exists()):
         from synfog_usd.cli import sets
 
-        sets.run(source, out / "set", only=None, quiet=quiet, as_json=False)
+        sets.run(source, out / "set", quiet=quiet, as_json=False)
         source = out / "set"
     elif not source.exists():
         raise ParameterError(

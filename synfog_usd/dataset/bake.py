@@ -67,7 +67,7 @@ class Baked:
 
 
 class StrictError(StageError):
-    """Under --strict, the translation had something to report."""
+    """Under `strict`, the translation had something to report."""
 
     exit_code = 1
 
@@ -136,7 +136,7 @@ def bake(
 
 
 def _refuse_warnings(plan: BakePlan, notes: Sequence[Note]) -> None:
-    """Under --strict, the end.
+    """Under `strict`, the end.
 
     Raises:
         StrictError: the translation warned of something.

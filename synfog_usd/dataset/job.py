@@ -126,7 +126,13 @@ def bake(
         quality: 'draft', 'standard', 'sensor' or 'reference'.
         seed: the same gives the same bytes.
         progress: called with what is done and the fraction of all that is done.
-        options: all others of `synfog-usd bake`, with _ for -: resolution=(640, 360), samples=16, ...
+        options: all others of `synfog-usd bake`, with _ for -: resolution=(640, 360), samples=16, ... And these, which
+            Python has alone: `model` ('path', 'single', 'volpath', 'volpathmis'); `strict` (stop at a warning);
+            `same_noise` (all fogs of a lighting have the temporal noise of its clear frame); `meter` ('each' camera of
+            several by itself); `adaptation` (of the exposure of `frames` [s], 0.3); `shutter` (time for which it is
+            open [s]); `lights` (how intensities are meant: 'usd', 'blender', 'rtx-legacy', 'metric'); `max_distance`
+            (of models that are loaded, from the camera [m]); `mask` (prims of which alone the stage is made);
+            `meters_per_unit` and `up` (instead of the stage's own).
 
     Returns:
         `manifest` (what bake.json says, or rig.json, or sequence.json), `notes` of the translation, `kept` (shots that

@@ -102,7 +102,11 @@ class Chooser:
         """Note which conventions were used, where that is not simply the specification's."""
         if set(self.counts) - {"usd"} or (self.asked != "auto" and self.counts):
             used = ", ".join(f"{count} by {name!r}" for name, count in sorted(self.counts.items()))
-            why = "as asked for" if self.asked != "auto" else "by the program that wrote them; choose with --lights"
+            why = (
+                "as asked for"
+                if self.asked != "auto"
+                else "by the program that wrote them; else sf.bake(..., lights='usd')"
+            )
             notes.info("", f"lights are read {used}, {why}")
 
 

@@ -77,7 +77,7 @@ def stage_space(stage: Usd.Stage, notes: Diagnostics) -> Space:
         taken = (
             "drawn with X up"
             if authored == "X"
-            else "Y is taken, which is what USD falls back to; choose another with --up"
+            else "Y is taken, which is what USD falls back to; write Y or Z into the stage or a layer over it"
         )
         notes.warn("", f"upAxis is {authored!r}, and USD knows Y and Z alone; {taken}")
     return Space(float(metres), axes, np.zeros(3))

@@ -306,7 +306,6 @@ def commands(folder, file):
     yield "check", [*me, "check", file]
     yield "check --fix", [*me, "check", file, "--fix", str(folder / "mended.usda")]
     yield "bake", [*me, "bake", file, *small, "--quality", "reference"]
-    yield "bake --max-distance", [*me, "bake", file, *small, "--max-distance", "20", "--quality", "reference"]
     yield "preview", [*me, "preview", file, *small, "--terminal", "none"]
 
 

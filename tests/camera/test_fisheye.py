@@ -284,7 +284,7 @@ def test_a_bake_is_of_the_fisheye_throughout(tmp_path):
         }
         """
     )
-    small = ("--resolution", "128x96", "--samples", "4", "--pipeline", "surround", "--model", "path")
+    small = ("--resolution", "128x96", "--samples", "4", "--pipeline", "surround")
     done = cli.run("bake", tmp_path / "stage.usda", "-o", tmp_path / "out", *small)
     assert done.returncode == 0, done.stderr
     told = json.loads((tmp_path / "out" / "labels.json").read_text())

@@ -15,6 +15,11 @@ import pytest
 from support.cli import command, process, run
 from support.stages import street
 
+from synfog_usd.cli.main import GONE
+from synfog_usd.dataset.asked import OPTIONS
+from synfog_usd.dataset.bake import StrictError
+from synfog_usd.dataset.job import bake
+
 SHOTS = [f"{lighting}/{fog}" for lighting in ("sky", "active") for fog in ("clear", "mor600", "mor150")]
 OUTPUTS = {"radiance.exr", "layers.exr", "instances.json", "raw.dng", "srgb.png"}
 
@@ -301,7 +306,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_file(stage, tmp_path):
 
 
 def test_strict_stops_at_what_is_not_understood(tmp_path):
-    """A prim that cannot be drawn is a warning; under --strict it is the end, with exit code 1."""
+    """A prim that cannot be drawn is a warning; `strict=True` of Python stops at it."""
     path = tmp_path / "odd.usda"
     path.write_text(street().replace('def Camera "Ego"', 'def Volume "Smoke"\n    {\n    }\n    def Camera "Ego"'))
     loose = run(
@@ -320,7 +325,8 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
     )
     assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
     assert "none was asked for" not in loose.stderr  # clear air is what was asked for
-    refused(run("bake", path, "-o", tmp_path / "b", "--strict"), "/World/Smoke", code=1)
+    with pytest.raises(StrictError, match="/World/Smoke"):
+        bake(path, tmp_path / "b", strict=True)
     assert not (tmp_path / "b").exists()
 
 
@@ -347,6 +353,15 @@ def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
         refused(run(*arguments(stage, out)), str(out), "another bake")
     finally:
         os.close(handle)
+
+
+@pytest.mark.parametrize("verb, option", [(verb, option) for verb, gone in GONE.items() for option in gone])
+def test_an_option_that_is_gone_is_refused_with_what_to_do_instead(tmp_path, verb, option):
+    """In one line; what it names exists: an option of `sf.bake`, a verb, or a word of USD or of a set's file."""
+    done = run(verb, "none.usda", f"{option}=1", cwd=tmp_path)
+    refused(done, f"{verb} takes no {option}: {GONE[verb][option]}")
+    for name in re.findall(r"sf\.bake\(\.\.\., (?:frames='0:90', )?(\w+)=", GONE[verb][option]):
+        assert name in {*OPTIONS, "adaptation"}
 
 
 @pytest.mark.parametrize(

@@ -91,8 +91,7 @@ def test_a_stage_is_checked_as_it_would_be_baked(stage):
     assert verb.look(path, choices=["/World:fog=clear"])  # a choice that there is
     for words, told in (
         (["--choose", "/World:fog=none"], "variant set 'fog' of /World has"),
-        (["--up", "sideways"], "--up sideways: it takes X, Y or Z"),
-        (["--meters-per-unit", "0"], "--meters-per-unit 0: outside"),
+        (["--up", "Z"], "check takes no --up: write upAxis into the stage"),
     ):
         done = process("check", path, *words)
         assert done.returncode == 2 and told in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr

@@ -19,7 +19,7 @@ from synfog_usd.camera.writers import video
 from synfog_usd.dataset.plan import frame_codes
 
 OPTIONS = (
-    *("--frames", "0:3", "--adaptation", "0.2", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
+    *("--frames", "0:3", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
     *("--samples", "4", "--quality", "reference", "--json"),
 )
 STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
@@ -44,13 +44,13 @@ def exposures(found):
 
 @pytest.mark.slow
 def test_the_exposure_follows_with_its_time_constant(clip):
-    """Light rises by 3 EV before the third frame; frames of 0.1 s, a time constant of 0.2 s: what is left of the way
-    falls by exp(-1/2) from frame to frame.
+    """Light rises by 3 EV before the third frame; frames of 0.1 s, a time constant of 0.3 s: what is left of the way
+    falls by exp(-1/3) from frame to frame.
     """
     _, found = clip
     assert found["frames_per_s"] == 10.0
     ev = np.log2(exposures(found))
-    wanted = ev[0] - 3.0 * (1.0 - np.exp([0.0, 0.0, -0.5, -1.0]))
+    wanted = ev[0] - 3.0 * (1.0 - np.exp([0.0, 0.0, -1.0 / 3.0, -2.0 / 3.0]))
     np.testing.assert_allclose(ev, wanted, atol=0.02)  # EV; each frame is metered on 64 samples of its own
 
 

@@ -153,7 +153,7 @@ def with_bake(folder: Path) -> Path:
     """The folder, with a bake of a small street in out."""
     if not (folder / "out" / "bake.json").exists():
         words = ("my_street.usda", "-o", "out", "--lighting", "sky", "--fog", "clear,mor150", "--resolution", "24x14")
-        done = process("bake", *words, "--samples", "2", "--model", "single", "--quality", "reference", cwd=folder)
+        done = process("bake", *words, "--samples", "2", "--quality", "reference", cwd=folder)
         assert done.returncode == 0, done.stderr
     return folder
 

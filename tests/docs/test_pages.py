@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TREE = [
     path.relative_to(ROOT).as_posix()
-    for top in ("synfog_usd", "assets", "docs", "integrations", "pipeline", "stages", "tests")
+    for top in ("synfog_usd", "assets", "docs", "integrations", "pipeline", "stages", "studies", "tests")
     for path in (ROOT / top).rglob("*")
     if "__pycache__" not in path.parts
 ] + [path.name for path in ROOT.iterdir()]

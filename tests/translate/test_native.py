@@ -10,6 +10,8 @@ from support.looks import TYPES, fill, write
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.dataset import check as verb
+from synfog_usd.dataset.bake import StrictError
+from synfog_usd.dataset.job import bake
 from synfog_usd.render.load import refusal, to_mitsuba
 from synfog_usd.translate import translate
 
@@ -210,5 +212,6 @@ def test_a_bake_draws_a_stage_with_all_of_them(folder, tmp_path):
     assert baked == {(at, one["text"]) for one in said for at in one["paths"] if at.startswith("/World/M")}
     assert {at.split("/")[2] for at, _ in baked} == {f"M{k}" for k, name in enumerate(ALL) if name not in DRAWN}
     assert run("check", path, "--strict").returncode == verb.WARNINGS_UNDER_STRICT
-    strict = run("bake", path, "--out", tmp_path / "strict", *small, "--strict")
-    assert strict.returncode == verb.WARNINGS_UNDER_STRICT and "is not drawn: " in strict.stderr
+    with pytest.raises(StrictError, match="is not drawn: ") as stopped:
+        bake(path, tmp_path / "strict", resolution="8x8", samples=2, fog="clear", strict=True)
+    assert stopped.value.exit_code == verb.WARNINGS_UNDER_STRICT
