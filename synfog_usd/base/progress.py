@@ -15,3 +15,8 @@ def silent(what: str, fraction: float) -> None:
 def within(progress: Progress, low: float, high: float) -> Progress:
     """Progress of a part that goes from one fraction of the whole to another."""
     return lambda what, fraction: progress(what, low + (high - low) * fraction)
+
+
+def named(progress: Progress, name: str) -> Progress:
+    """Progress of one part, with the part's name before what it does."""
+    return lambda what, fraction: progress(f"{name}: {what}", fraction)

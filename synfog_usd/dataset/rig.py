@@ -12,7 +12,7 @@ from typing import Any
 
 from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError, ParameterError
-from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.progress import Progress, named, silent, within
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import MANIFEST
 from synfog_usd.dataset.plan import BakePlan, shots
@@ -48,8 +48,8 @@ def bake_cameras(
     session = begin(replace(plan, camera=None, rig=()), names, reading)
     cameras = [str(camera) for camera in session.cameras]
     if len(cameras) == 1:
-        one = replace(plan, camera=cameras[0])
-        return None, bake(one, progress=progress, log=log, reading=reading, session=session)
+        single = replace(plan, camera=cameras[0])
+        return None, bake(single, progress=progress, log=log, reading=reading, session=session)
     folders = folders_of(cameras)
     if (plan.out / MANIFEST).is_file():
         raise OutputError(
@@ -63,27 +63,27 @@ def bake_cameras(
     with system.only_writer(plan.out):
         for number, (lighting, camera) in enumerate(goes):
             folder = folders[camera]
-
-            def said(what: str, fraction: float, folder: str = folder, number: int = number) -> None:
-                within(progress, number / len(goes), (number + 1) / len(goes))(f"{folder}: {what}", fraction)
-
-            def line(text: str, folder: str = folder) -> None:
-                log(f"{folder}: {text}")
-
-            one = replace(plan, camera=camera, out=plan.out / folder)
-            baked = bake(one, progress=said, log=line, reading=reading, session=session, lighting=lighting)
+            part = named(within(progress, number / len(goes), (number + 1) / len(goes)), folder)
+            baked = bake(
+                replace(plan, camera=camera, out=plan.out / folder),
+                progress=part,
+                log=lambda text, folder=folder: log(f"{folder}: {text}"),  # type: ignore[misc]
+                reading=reading,
+                session=session,
+                lighting=lighting,
+            )
             first = baked if camera == cameras[0] else first
         assert first is not None
-        found = {
+        manifest = {
             "schema": "synfog-usd/rig",
             "version": 1,
             "stage": plan.stage.name,
             "meter": plan.meter,
             "cameras": [{"camera": camera, "folder": folders[camera]} for camera in cameras],
         }
-        files.write_json(plan.out / RIG, found)
+        files.write_json(plan.out / RIG, manifest)
     progress("done", 1.0)
-    return found, first
+    return manifest, first
 
 
 def apart(plan: BakePlan, names: Sequence[str], *, reading: Reading = contextlib.nullcontext) -> list[BakePlan]:

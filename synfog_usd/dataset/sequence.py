@@ -17,7 +17,7 @@ from typing import Any
 
 from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError
-from synfog_usd.base.progress import Progress, silent, within
+from synfog_usd.base.progress import Progress, named, silent, within
 from synfog_usd.base.seeds import frame_seed
 from synfog_usd.dataset import flow
 from synfog_usd.dataset.bake import Baked, bake
@@ -54,14 +54,8 @@ def bake_sequence(
     Raises:
         SynfogError: with place and fix; finished frames stay.
     """
-    from synfog_usd import stage as usd
-
     with reading():
-        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
-        usd.override(stage, choices=plan.choices)
-        rate = float(stage.GetTimeCodesPerSecond())
-        still = len(codes) > 1 and _stands_still(stage, plan, codes)
-        of_all = (str(plan.stage), *dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
+        rate, still, lightings = _read(plan, codes)
     warnings = [f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still"] * still
     for text in warnings:
         log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one --frame")
@@ -70,29 +64,17 @@ def bake_sequence(
     before: dict[str, tuple[float, float]] = {}
     rows: list[dict[str, Any]] = []
     bakes: list[Baked] = []
-    told = set[str]()
+    frame_log = _FrameLog(log, tuple(f"{name}: " for name in (str(plan.stage), *lightings)))
     with system.only_writer(plan.out):
         for number, code in enumerate(codes):
             folder, seed = f"{number:06d}", frame_seed(plan.seed, code)
-            one = replace(
-                plan,
-                frame=code,
-                seed=seed,
-                out=plan.out / folder,
-                clip=ClipFrame(number, per_s, adaptation_s, dict(before)),
+            clip = ClipFrame(number, per_s, adaptation_s, dict(before))
+            part = named(
+                within(progress, number / len(codes), (number + 1) / len(codes)), f"frame {number + 1} of {len(codes)}"
             )
-            part = within(progress, number / len(codes), (number + 1) / len(codes))
-
-            def said(what: str, fraction: float, number: int = number, part: Progress = part) -> None:
-                part(f"frame {number + 1} of {len(codes)}: {what}", fraction)
-
-            def line(text: str, code: float = code) -> None:
-                if text not in told:
-                    log(f"frame {code:g}: {text}")
-                if text.startswith(tuple(f"{one}: " for one in of_all)):  # of the stage or a lighting, not of a shot
-                    told.add(text)
-
-            baked = bake(one, progress=said, log=line, reading=reading)
+            frame_log.code = code
+            frame = replace(plan, frame=code, seed=seed, out=plan.out / folder, clip=clip)
+            baked = bake(frame, progress=part, log=frame_log, reading=reading)
             bakes.append(baked)
             exposures = {
                 row["lighting"]: (row["exposure"]["exposure_s"], row["exposure"]["iso"])
@@ -102,9 +84,8 @@ def bake_sequence(
             before |= exposures
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
         earlier = _clip_files(plan.out)
-        clips = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
         flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
-        found = {
+        manifest = {
             "schema": "synfog-usd/sequence",
             "version": 1,
             "stage": plan.stage.name,
@@ -112,13 +93,42 @@ def bake_sequence(
             "adaptation_s": adaptation_s,
             "warnings": warnings,
             "frames": rows,
-            "clips": clips,
+            "clips": _gather(plan.out, rows, bakes[0].manifest, per_s, log),
         }
-        files.write_json(plan.out / SEQUENCE, found)
+        files.write_json(plan.out / SEQUENCE, manifest)
         if moved := _set_aside(plan.out, earlier - _clip_files(plan.out)):
             log(f"{plan.out}: {moved}")
     progress("done", 1.0)
-    return found, bakes[0]
+    return manifest, bakes[0]
+
+
+class _FrameLog:
+    """Passes lines on with the frame's time code; lines on the stage or a lighting once for all frames.
+
+    Args:
+        log: takes a line.
+        shared: how lines begin that hold for all frames.
+    """
+
+    def __init__(self, log: Callable[[str], None], shared: tuple[str, ...]) -> None:
+        self.log, self.shared, self.code = log, shared, 0.0
+        self.passed_on: set[str] = set()
+
+    def __call__(self, text: str) -> None:
+        if text not in self.passed_on:
+            self.log(f"frame {self.code:g}: {text}")
+        if text.startswith(self.shared):
+            self.passed_on.add(text)
+
+
+def _read(plan: BakePlan, codes: Sequence[float]) -> tuple[float, bool, list[str]]:
+    """Time codes a second of the stage, whether nothing in it changes, and its lightings."""
+    from synfog_usd import stage as usd
+
+    stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
+    usd.override(stage, choices=plan.choices)
+    rate, still = float(stage.GetTimeCodesPerSecond()), len(codes) > 1 and _stands_still(stage, plan, codes)
+    return rate, still, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
 
 
 def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:

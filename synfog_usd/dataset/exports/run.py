@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -84,28 +85,18 @@ def export(
     Raises:
         SynfogError: no set, damaged labels, a folder that cannot be written; classes for a format without boxes.
     """
-    if target.resolve() == out.resolve() or target.resolve() in out.resolve().parents:
-        raise ParameterError(f"--to {target}: that holds the set itself; choose a folder of its own")
-    if url is not None and one.name != "webdataset":
-        raise ParameterError(f"--to {url}: only --as webdataset writes to a URL; choose a folder")
-    if chosen.classes and not one.boxes:
-        boxed = ", ".join(name for name, other in EXPORTERS.items() if other.boxes)
-        raise ParameterError(f"--classes: {one.name} labels every pixel and has no boxes to choose; {boxed} have")
+    _check(out, one, target, chosen, url)
     total = sum(1 for _ in pictures(out))
     if not total:
         raise ParameterError(f"{out}: no picture is finished; make some first")
-    folder = ExportFolder(target)
-    done = 0
+    folder, census, done = ExportFolder(target), Census(), itertools.count(1)
 
-    def told() -> Iterator[LabelledPicture]:
-        nonlocal done
+    def counted() -> Iterator[LabelledPicture]:
         for picture in pictures(out):
             yield picture
-            done += 1
-            progress(f"{one.name}: {picture.name}", min(0.99, 0.8 * done / total))
+            progress(f"{one.name}: {picture.name}", min(0.99, 0.8 * next(done) / total))
 
-    notes = webdataset.write(told, folder, chosen, url) if url is not None else one.write(told, folder, chosen)
-    census = Census()
+    notes = webdataset.write(counted, folder, chosen, url) if url is not None else one.write(counted, folder, chosen)
 
     def rows() -> Iterator[dict[str, Any]]:
         for picture in pictures(out):
@@ -122,6 +113,16 @@ def export(
     folder.text("README.md", card(name, one, census, notes, folder, chosen=chosen, licence=licence))
     progress("done", 1.0)
     return census
+
+
+def _check(out: Path, one: Exporter, target: Path, chosen: Boxed, url: str | None) -> None:
+    if target.resolve() == out.resolve() or target.resolve() in out.resolve().parents:
+        raise ParameterError(f"--to {target}: that holds the set itself; choose a folder of its own")
+    if url is not None and one.name != "webdataset":
+        raise ParameterError(f"--to {url}: only --as webdataset writes to a URL; choose a folder")
+    if chosen.classes and not one.boxes:
+        boxed = ", ".join(name for name, other in EXPORTERS.items() if other.boxes)
+        raise ParameterError(f"--classes: {one.name} labels every pixel and has no boxes to choose; {boxed} have")
 
 
 def card(

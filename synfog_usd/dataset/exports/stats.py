@@ -189,9 +189,7 @@ def write(figures: Figures, path: Path, *, title: str) -> None:
 
 def page(figures: Figures, title: str) -> str:
     """The page's text."""
-    things = sum(sum(found.values()) for found in figures.things.values())
-    count = figures.a_picture
-    seen = ("visible", "faint", "not told")
+    things = sum(sum(states.values()) for states in figures.things.values())
     parts = [
         "<!DOCTYPE html>",
         f'<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>',
@@ -202,22 +200,7 @@ def page(figures: Figures, title: str) -> str:
         f"({', '.join(f'{html.escape(name)} {n}' for name, n in figures.splits.items())}); {things} things in them, "
         f"counted in every picture; {_size(sum(figures.bytes.values()))} on disk.</p>",
         "<h2>Beside published sets</h2>",
-        _table(
-            ["set", "pictures", "fogs", "humans a picture", "vehicles a picture", "source"],
-            [
-                [
-                    title,
-                    str(figures.pictures),
-                    ", ".join(
-                        name if mor is None else f"{name} ({mor:g} m)" for name, mor in sorted(figures.fog_m.items())
-                    ),
-                    f"{count(HUMANS):.1f} ({count(HUMANS, seen):.1f} without invisible ones)",
-                    f"{count(VEHICLES):.1f} ({count(VEHICLES, seen):.1f} without invisible ones)",
-                    "counted here: every thing with a pixel",
-                ],
-                *([name, *row.values(), source] for name, row, source in PUBLISHED),
-            ],
-        ),
+        _beside_published(figures, title),
         "<p>Annotators leave out what is small or far; a renderer does not. So counts here are higher for the same "
         "street.</p>",
         "<h2>Pixels by class</h2>",
@@ -255,6 +238,21 @@ def page(figures: Figures, title: str) -> str:
         "</body></html>\n",
     ]
     return "\n".join(parts)
+
+
+def _beside_published(figures: Figures, title: str) -> str:
+    count, states = figures.a_picture, ("visible", "faint", "not told")
+    fogs = (name if mor is None else f"{name} ({mor:g} m)" for name, mor in sorted(figures.fog_m.items()))
+    row = [
+        title,
+        str(figures.pictures),
+        ", ".join(fogs),
+        f"{count(HUMANS):.1f} ({count(HUMANS, states):.1f} without invisible ones)",
+        f"{count(VEHICLES):.1f} ({count(VEHICLES, states):.1f} without invisible ones)",
+        "counted here: every thing with a pixel",
+    ]
+    heads = ["set", "pictures", "fogs", "humans a picture", "vehicles a picture", "source"]
+    return _table(heads, [row, *([name, *numbers.values(), source] for name, numbers, source in PUBLISHED)])
 
 
 def _bars(title: str, groups: dict[str, Counter[str]]) -> str:

@@ -34,23 +34,32 @@ def schema() -> dict[str, Any]:
     }
 
 
+SHARE: dict[str, Any] = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string"}]}
+NAMES: dict[str, Any] = {"type": "array", "minItems": 1, "items": {"type": "string"}}
+
+
 def _sections() -> dict[str, Any]:
-    share: dict[str, Any] = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string"}]}
-    names: dict[str, Any] = {"type": "array", "minItems": 1, "items": {"type": "string"}}
-    held = {key: {**names, "description": f"{key.capitalize()} that no other split shows."} for key in HELD_OUT}
-    split = {"type": "object", "properties": {"share": share, **held}, "required": ["share"]}
-    recipes, pipelines = _stems("stages", "recipes"), _stems("pipeline", "")
-    weights = {"type": "object", "minProperties": 1, "additionalProperties": {"type": "number", "exclusiveMinimum": 0}}
-    lighting: dict[str, Any] = {"type": "string", "examples": [*RECIPE_LIGHTINGS, AS_AUTHORED]}
+    return {**_sources(), **_light(), **_cameras(), **_quality(), **_splits()}
+
+
+def _sources() -> dict[str, Any]:
+    recipes = _stems("stages", "recipes")
     return {
         "synfog": {"const": SCHEMA, "description": "The format of this file."},
         "about": {"type": "string", "description": "One sentence."},
         "extends": {**_name(list(shipped())), "description": "A set that this one changes, section by section."},
         "seed": {"type": "integer", "minimum": 0, "default": 0, "description": "All scenes follow from it."},
         "scenes": {"type": "integer", "minimum": 1, "maximum": MOST_SCENES, "description": "How many."},
-        "recipes": _shares(_name(recipes), share, "Recipes that ship, or files (.yaml), with their shares.", recipes),
-        "stages": _shares({"type": "string"}, share, "Patterns of USD files, with their shares of the scenes."),
+        "recipes": _shares(_name(recipes), SHARE, "Recipes that ship, or files (.yaml), with their shares.", recipes),
+        "stages": _shares({"type": "string"}, SHARE, "Patterns of USD files, with their shares of the scenes."),
         "changes": {"type": "object", "description": "section.key: value, over what recipes say."},
+    }
+
+
+def _light() -> dict[str, Any]:
+    weights = {"type": "object", "minProperties": 1, "additionalProperties": {"type": "number", "exclusiveMinimum": 0}}
+    lighting: dict[str, Any] = {"type": "string", "examples": [*RECIPE_LIGHTINGS, AS_AUTHORED]}
+    return {
         "lightings": {
             "type": "array",
             "items": {"anyOf": [lighting, _one("choice", weights)]},
@@ -62,7 +71,13 @@ def _sections() -> dict[str, Any]:
             "items": {"anyOf": [{"type": "string", "examples": [CLEAR, AS_AUTHORED]}, *_visibility()]},
             "description": "Visibilities (MOR) in metres, fixed or drawn, or names of fogs that the stages have.",
         },
-        "cameras": {**names, "default": [OWN_CAMERA], "description": "Prim paths, or the stage's own."},
+    }
+
+
+def _cameras() -> dict[str, Any]:
+    pipelines = _stems("pipeline", "")
+    return {
+        "cameras": {**NAMES, "default": [OWN_CAMERA], "description": "Prim paths, or the stage's own."},
         "pipelines": {
             "type": "array",
             "minItems": 1,
@@ -91,6 +106,11 @@ def _sections() -> dict[str, Any]:
             "maxItems": 2,
             "description": "Width and height in pixels; the stage's own if left out.",
         },
+    }
+
+
+def _quality() -> dict[str, Any]:
+    return {
         "quality": {
             "type": ["string", "object"],
             "additionalProperties": False,
@@ -113,10 +133,17 @@ def _sections() -> dict[str, Any]:
                 "ev": {"type": "number", "minimum": -MOST_EV, "maximum": MOST_EV},
             },
         },
+    }
+
+
+def _splits() -> dict[str, Any]:
+    held = {key: {**NAMES, "description": f"{key.capitalize()} that no other split shows."} for key in HELD_OUT}
+    split = {"type": "object", "properties": {"share": SHARE, **held}, "required": ["share"]}
+    return {
         "splits": {
             "type": "object",
             "minProperties": 1,
-            "additionalProperties": {"anyOf": [share, {**split, "additionalProperties": False}]},
+            "additionalProperties": {"anyOf": [SHARE, {**split, "additionalProperties": False}]},
             "description": "Name: share of the scenes, or share with what only this split may show.",
         },
     }

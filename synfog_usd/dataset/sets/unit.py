@@ -74,30 +74,34 @@ def make(
         with _drawn(found, planned, out, unit, reading) as (stage, shown):
             from synfog_usd.dataset.bake import bake
 
-            plan = BakePlan(
-                stage=stage,
-                out=folder,
-                pipeline=found.pipelines[0],
-                lighting=(unit.lighting,),
-                fog=planned.fogs,
-                camera=unit.camera or None,
-                size=found.size,
-                seed=planned.seed,
-                variant=variant,
-                allow=(resources.folder("assets"),),
-                by_lighting=False,
-                same_noise=found.same_noise,
-                rig=found.cameras if len(found.cameras) > 1 else (),
-                meter=found.meter,
-                meter_for=found.pipelines[1:] if _one_exposure(found) else (),
-                **found.quality,
-                **found.exposure,
-            )
+            plan = _plan(found, planned, unit, stage, folder, variant)
             baked = bake(plan, progress=progress, log=log, reading=reading)
         more = _developments(found, folder, baked.manifest["shots"], planned)
         written = _record(found, planned, unit, folder, baked.manifest, more, shown)
         files.write_json(folder / layout.UNIT, written)
     return written, True
+
+
+def _plan(found: SetDefinition, planned: PlannedScene, unit: Unit, stage: Path, folder: Path, variant: str) -> BakePlan:
+    return BakePlan(
+        stage=stage,
+        out=folder,
+        pipeline=found.pipelines[0],
+        lighting=(unit.lighting,),
+        fog=planned.fogs,
+        camera=unit.camera or None,
+        size=found.size,
+        seed=planned.seed,
+        variant=variant,
+        allow=(resources.folder("assets"),),
+        by_lighting=False,
+        same_noise=found.same_noise,
+        rig=found.cameras if len(found.cameras) > 1 else (),
+        meter=found.meter,
+        meter_for=found.pipelines[1:] if _one_exposure(found) else (),
+        **found.quality,
+        **found.exposure,
+    )
 
 
 def record(out: Path, unit: Unit) -> dict[str, Any] | None:

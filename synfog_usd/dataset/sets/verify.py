@@ -54,19 +54,18 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Fault]:
         SetError: no set lies there.
     """
     identity.read(out)
-    found = journal.kept_definition(out)
-    looked, waiting = 0, deque[tuple[Unit, concurrent.futures.Future[list[Fault]]]]()
+    definition = journal.kept_definition(out)
+    waiting = deque[tuple[Unit, concurrent.futures.Future[list[Fault]]]]()
     rows_of: dict[int, list[dict[str, Any]]] = {}
 
-    def ended() -> Iterator[Fault]:
-        nonlocal looked
+    def next_result() -> list[Fault]:
         unit, future = waiting.popleft()
-        yield from future.result()
-        looked += 1
-        progress(unit.name, unit.number / found.scenes)
+        faults = future.result()
+        progress(unit.name, unit.number / definition.scenes)
+        return faults
 
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        for planned in scenes(found):
+        for planned in scenes(definition):
             part = planned.number // layout.A_FOLDER
             if planned.number % layout.A_FOLDER == 0:
                 yield from _index(out, part - 1, rows_of.pop(part - 1, []))
@@ -78,9 +77,9 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Fault]:
                 rows_of.setdefault(part, []).extend(rows(made, unit) if made else ())
                 waiting.append((unit, pool.submit(_of_unit, out, unit)))
                 if len(waiting) > AHEAD * cores():
-                    yield from ended()
+                    yield from next_result()
         while waiting:
-            yield from ended()
+            yield from next_result()
     for part, expected in rows_of.items():
         yield from _index(out, part, expected)
     progress("done", 1.0)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import OutputError
@@ -89,15 +89,35 @@ class Bench:
         return {name: row["error"] for name, row in rows.items() if "error" in row}
 
 
+@dataclass(frozen=True)
+class Question(Generic[T, M, W]):
+    """What a bench asks its methods.
+
+    Attributes:
+        key: what the answer depends on besides the method's version.
+        opened: a child of a method, which puts files into the folder that it is given.
+        ask: the answer, or {'error': line}; called from several threads, with a child for each.
+        measure: what is kept of an answer; called from several threads while the child goes on.
+    """
+
+    key: Callable[[T, M], str]
+    opened: Callable[[M, Path], W]
+    ask: Callable[[T, M, W], Row]
+    measure: Callable[[Row], Row] = lambda row: row
+
+    def answer(self, item: T, method: M, borrowed: Borrowed[W]) -> Row:
+        """What is kept of the answer of one of the method's children."""
+        with borrowed() as child:
+            row = self.ask(item, method, child)
+        return row if "error" in row else self.measure(row)
+
+
 def run(
     items: Sequence[T],
     methods: Sequence[M],
     out: Path,
+    question: Question[T, M, W],
     *,
-    key: Callable[[T, M], str],
-    opened: Callable[[M, Path], W],
-    ask: Callable[[T, M, W], Row],
-    measure: Callable[[Row], Row] = lambda row: row,
     retry: bool = False,
     progress: Progress = silent,
     log: Callable[[str], None] = lambda text: None,
@@ -110,61 +130,93 @@ def run(
     Args:
         items, methods: in order.
         out: folder; `results.json` is written as it goes, whole each time, in the order of methods and items.
-        key: what the answer depends on besides the method's version.
-        opened: a child of a method, which puts files into the folder that it is given.
-        ask: the answer, or {'error': line}; called from several threads, with a child for each.
-        measure: what is kept of an answer; called from several threads while the child goes on.
+        question: what is asked.
         retry: take up what failed, too.
         progress, log: whom to tell.
 
     Raises:
         OutputError: the folder cannot be written, or `results.json` there is none of ours.
     """
-    bench = Bench(items, methods)
-    known = kept(out / RESULTS)
-    _keep(out / RESULTS, known)  # a folder that cannot be written is told before the first answer
-    places = [[f"{method.version} {key(item, method)}" for item in items] for method in methods]
-    order = [place for row in places for place in row]
-    total, done, kept_at, lanes = len(order), 0, time.monotonic(), cores()
+    bench, lanes = Bench(items, methods), cores()
+    keys = [[f"{method.version} {question.key(item, method)}" for item in items] for method in methods]
+    answers = _Answers(out / RESULTS, [key for row in keys for key in row], progress)
     with ThreadPoolExecutor(lanes) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         try:
-            for method, row in zip(methods, places, strict=True):
-                wanted: dict[str, T] = {}
-                for place, item in zip(row, items, strict=True):
-                    if place not in known or (retry and "error" in known[place]):
-                        wanted.setdefault(place, item)
-                done += len(items) - len(wanted)
-                first = {place: item for place, item in wanted.items() if place in row[:GIVE_UP]}
-                rest = {place: item for place, item in wanted.items() if place not in first}
-                count = min(method.at_once or lanes, lanes)
-                with _children([opened(method, Path(tempfile.mkdtemp(dir=folder))) for _ in range(count)]) as borrowed:
-
-                    def answer(item: T, method: M = method, borrowed: Borrowed[W] = borrowed) -> Row:
-                        with borrowed() as child:
-                            found = ask(item, method, child)
-                        return found if "error" in found else measure(found)
-
-                    for batch in (first, rest):
-                        if hopeless := batch is rest and bool(rest) and _hopeless(row, known):
-                            log(f"{method.name}: failed on the first {GIVE_UP} pictures; it is asked no more")
-                            why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
-                            answers: Iterator[tuple[str, Row]] = ((place, why) for place in rest)
-                        else:
-                            answers = _side_by_side(pool, answer, batch)
-                        for place, found in answers:
-                            known[place] = found
-                            bench.made, done = bench.made + 1, done + 1
-                            progress(f"{method.name}: {batch[place].name}", done / total)
-                            if "error" in found and not hopeless:
-                                log(f"{method.name}: {batch[place].name}: {found['error']}")
-                            if time.monotonic() - kept_at > KEEP_EVERY_S:
-                                _keep(out / RESULTS, known, order)
-                                kept_at = time.monotonic()
-                for place, item in zip(row, items, strict=True):
-                    bench.rows[method.version, item.name] = known[place]
+            for method, row in zip(methods, keys, strict=True):
+                missing: dict[str, T] = {}
+                for key, item in zip(row, items, strict=True):
+                    if answers.lacks(key, retry):
+                        missing.setdefault(key, item)
+                answers.done += len(items) - len(missing)
+                children = [
+                    question.opened(method, Path(tempfile.mkdtemp(dir=folder)))
+                    for _ in range(min(method.at_once or lanes, lanes))
+                ]
+                with _children(children) as borrowed:
+                    work = functools.partial(question.answer, method=method, borrowed=borrowed)
+                    bench.made += _ask(pool, work, method.name, row, missing, answers, log)
+                for key, item in zip(row, items, strict=True):
+                    bench.rows[method.version, item.name] = answers.rows[key]
         finally:
-            _keep(out / RESULTS, known, order)
+            answers.write()
     return bench
+
+
+class _Answers:
+    """Answers by key, kept in a file while they come.
+
+    Args:
+        path: the file; what an earlier run left in it is read.
+        order: keys of this run, in which they are written.
+        progress: told each answer.
+    """
+
+    def __init__(self, path: Path, order: Sequence[str], progress: Progress) -> None:
+        self.path, self.order, self.progress = path, order, progress
+        self.rows, self.done = kept(path), 0
+        _keep(path, self.rows)  # a folder that cannot be written is told before the first answer
+        self._written_at = time.monotonic()
+
+    def lacks(self, key: str, retry: bool) -> bool:
+        """Whether there is no answer, or under `retry` an error."""
+        return key not in self.rows or (retry and "error" in self.rows[key])
+
+    def add(self, key: str, row: Row, what: str) -> None:
+        """Take an answer; the file is written now and then."""
+        self.rows[key] = row
+        self.done += 1
+        self.progress(what, self.done / len(self.order))
+        if time.monotonic() - self._written_at > KEEP_EVERY_S:
+            self.write()
+            self._written_at = time.monotonic()
+
+    def write(self) -> None:
+        """Write the file."""
+        _keep(self.path, self.rows, self.order)
+
+
+def _ask(
+    pool: ThreadPoolExecutor,
+    work: Callable[[T], Row],
+    name: str,
+    row: Sequence[str],
+    missing: Mapping[str, T],
+    answers: _Answers,
+    log: Callable[[str], None],
+) -> int:
+    """Ask one method for the answers that are missing, its first pictures before the others; how many there were."""
+    first = {key: item for key, item in missing.items() if key in row[:GIVE_UP]}
+    for batch in (first, {key: item for key, item in missing.items() if key not in first}):
+        hopeless = batch is not first and bool(batch) and _hopeless(row, answers.rows)
+        if hopeless:
+            log(f"{name}: failed on the first {GIVE_UP} pictures; it is asked no more")
+        why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
+        results = ((key, why) for key in batch) if hopeless else _side_by_side(pool, work, batch)
+        for key, answer in results:
+            answers.add(key, answer, f"{name}: {batch[key].name}")
+            if "error" in answer and not hopeless:
+                log(f"{name}: {batch[key].name}: {answer['error']}")
+    return len(missing)
 
 
 def _hopeless(row: Sequence[str], known: dict[str, Row]) -> bool:
@@ -247,9 +299,9 @@ def kept(path: Path) -> dict[str, Row]:
     if not path.exists():
         return {}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(found, dict) or not all(isinstance(row, dict) for row in found.values()):
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(rows, dict) or not all(isinstance(row, dict) for row in rows.values()):
             raise ValueError("it is no table of results")
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be gone on with ({error}); choose another folder or take it away") from error
-    return found
+    return rows

@@ -13,7 +13,7 @@ from pathlib import Path
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.lab.benchmark import bench, metrics
-from synfog_usd.lab.benchmark.bench import Bench, Row
+from synfog_usd.lab.benchmark.bench import Bench, Question, Row
 from synfog_usd.lab.benchmark.methods import PNG, Defogger, Measurer
 from synfog_usd.lab.benchmark.pairs import Pair
 from synfog_usd.lab.benchmark.worker import MethodError, MethodWorker
@@ -45,18 +45,8 @@ def run(
         OutputError: the folder cannot be written, or `results.json` there is none of ours.
     """
     with _measuring() as measure:
-        return bench.run(
-            pairs,
-            methods,
-            out,
-            key=_of_files,
-            opened=MethodWorker,
-            ask=_asked,
-            measure=measure,
-            retry=retry,
-            progress=progress,
-            log=log,
-        )
+        question = Question(_of_files, MethodWorker, _asked, measure)
+        return bench.run(pairs, methods, out, question, retry=retry, progress=progress, log=log)
 
 
 def values(found: Bench, method: Defogger, metric: str, fog: str | None = None) -> dict[str, float]:

@@ -24,7 +24,7 @@ from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.exports import frames, taxonomy
 from synfog_usd.dataset.exports.frames import LabelledPicture
 from synfog_usd.lab.benchmark import bench, coco, statistics
-from synfog_usd.lab.benchmark.bench import Bench, Row
+from synfog_usd.lab.benchmark.bench import Bench, Question, Row
 from synfog_usd.lab.benchmark.child import picture
 from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, Matched, MatchedKind, TrueBox
 from synfog_usd.lab.benchmark.detectors import Detector, as_boxes
@@ -232,35 +232,26 @@ def run(
     Raises:
         OutputError: the folder cannot be written, or `results.json` there is none of ours.
     """
-    return bench.run(
-        views,
-        runs,
-        out,
-        key=lambda view, one: bench.digest(_taken(view, one) or view.picture),
-        opened=DetectorRunWorker,
-        ask=_asked,
-        retry=retry,
-        progress=progress,
-        log=log,
-    )
+    question = Question(lambda view, run: bench.digest(_input(view, run) or view.picture), DetectorRunWorker, _asked)
+    return bench.run(views, runs, out, question, retry=retry, progress=progress, log=log)
 
 
-def _taken(view: FoggedView, one: DetectorRun) -> Path | None:
-    return view.picture if one.takes == PNG else view.source.files.get(one.takes)
+def _input(view: FoggedView, run: DetectorRun) -> Path | None:
+    return view.picture if run.takes == PNG else view.source.files.get(run.takes)
 
 
-def _asked(view: FoggedView, one: DetectorRun, worker: DetectorRunWorker) -> Row:
-    taken = _taken(view, one)
-    if taken is None:
-        return {"error": f"the picture has no {one.takes}"}
+def _asked(view: FoggedView, run: DetectorRun, worker: DetectorRunWorker) -> Row:
+    file = _input(view, run)
+    if file is None:
+        return {"error": f"the picture has no {run.takes}"}
     try:
         shape, labels = picture(view.picture).shape, view.source.labels
         if shape[:2] != labels.distance_m.shape:
-            told = f"{labels.size_px[0]} x {labels.size_px[1]}"
-            return {"error": f"the picture has {shape[1]} x {shape[0]} pixels, and its labels {told}"}
-        found = worker.ask(taken)
-        answer = as_boxes(json.loads(found.read_text(encoding="utf-8")), one.detector)
-        found.unlink()
+            size = f"{labels.size_px[0]} x {labels.size_px[1]}"
+            return {"error": f"the picture has {shape[1]} x {shape[0]} pixels, and its labels {size}"}
+        boxes = worker.ask(file)
+        answer = as_boxes(json.loads(boxes.read_text(encoding="utf-8")), run.detector)
+        boxes.unlink()
     except (MethodError, ParameterError, ValueError, OSError) as error:
         return {"error": " ".join(str(error).split())[:300]}
     return {"boxes": [[*box, _distance(box, labels.distance_m)] for box in answer]}

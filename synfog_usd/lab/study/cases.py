@@ -314,14 +314,22 @@ SOLVED = 5e-4
 """What discrete ordinates may leave in a band of rows."""
 
 
+THICK = float(extinction_from_visibility(50.0))
+"""Extinction of MOR 50 [1/m]."""
+
+
 def every() -> list[Case]:
     """The cases, in the order of the table."""
-    sigma = {mor: float(extinction_from_visibility(mor)) for mor in (50.0, 150.0, 300.0, 600.0)}
+    return [*_dimmed(), *_furnaces(), *_slabs(), *_of_two_ways()]
+
+
+def _dimmed() -> list[Case]:
+    """What is seen through fog that absorbs."""
     return [
         *(
             Case(
                 f"black wall at 50 m, MOR {mor:g}: Beer-Lambert",
-                lambda mor=mor: glowing_wall(sigma[mor]),
+                lambda mor=mor: glowing_wall(float(extinction_from_visibility(mor))),
                 ONCE,
                 samples=32,
                 peer_samples=1024,
@@ -341,7 +349,12 @@ def every() -> list[Case]:
         Case("bank of 0.3/m inside fog of 0.03/m", bank, ONCE, peer_samples=2048, quick=True),
         Case("camera in a bank in a bank in fog", inside_three, ONCE, peer_samples=1024),
         Case("transmittance AOV of a wall, MOR 150", transmittance, ("path",), aov=True, quick=True),
-        Case("white furnace, MOR 50", lambda: furnace(sigma[50.0]), FULL, samples=512, quick=True),
+    ]
+
+
+def _furnaces() -> list[Case]:
+    return [
+        Case("white furnace, MOR 50", lambda: furnace(THICK), FULL, samples=512, quick=True),
         Case("white furnace, optical depth 30", lambda: furnace(0.5), FULL, samples=96, resolves=0.05, peer_samples=32),
         Case(
             "white furnace, optical depth 100",
@@ -352,9 +365,14 @@ def every() -> list[Case]:
             peer_samples=16,
         ),
         *(
-            Case(f"white furnace, MOR 50, g = {g:g}", lambda g=g: furnace(sigma[50.0], g), FULL)
+            Case(f"white furnace, MOR 50, g = {g:g}", lambda g=g: furnace(THICK, g), FULL)
             for g in (0.0, 1e-4, 0.99, -0.99)
         ),
+    ]
+
+
+def _slabs() -> list[Case]:
+    return [
         *(
             Case(
                 f"empty slab, MOR 150, ground {ground:g}, zenith 0-87",
@@ -390,6 +408,12 @@ def every() -> list[Case]:
             peer_samples=64,
         ),
         Case("two half slabs stacked are one", halves, FULL, SOLVED, bands=3),
+    ]
+
+
+def _of_two_ways() -> list[Case]:
+    """One world in two ways, lamps, and stages in other units."""
+    return [
         Case("1 cm inside the fog's box = 1 cm outside", threshold, ONCE, 1e-3, resolves=0.03),
         Case("fog of extinction 0 = clear air", lambda: thin(0.0), ONCE, quick=True),
         Case("fog of extinction 1e-7 = clear air", lambda: thin(1e-7), ONCE, 1e-4),

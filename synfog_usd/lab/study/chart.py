@@ -168,127 +168,150 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
 
     check(plan)
     scene, shot = _scene(plan)
-    chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    renders = _Renders(scene, plan.size)
-    notes: list[str] = []
+    backend_used = backend.start(plan.variant)  # type: ignore[arg-type]
+    began = time.perf_counter()
     holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
-    wanted = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
-    notes += [
+    names = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
+    notes = [
         f"{name}: does not hold here, {models.MODELS[name].refuses(scene)}"
         for name in plan.models or ()
-        if name not in wanted
+        if name not in names
     ]
-    asked = list(dict.fromkeys(models.choose(name, scene)[0] for name in wanted))
     auto = models.choose(models.AUTO, scene)[0]
-    sweep = _lines(plan, asked, auto, notes)
-    limit = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
-    spent, began = 0.0, time.perf_counter()
-    paths, done = RUNS * sum(sum(line.levels) for line in sweep), 0
+    sweep = _lines(plan, list(dict.fromkeys(models.choose(name, scene)[0] for name in names)), auto, notes)
+    work = _Sweep(plan, _Renders(scene, plan.size), sweep, notes, progress)
+    work.render(lenient=lenient)
+    reference = work.reference(next((name for name in models.ours_unbiased() if name in holding), "volpath"))
+    points = _points(work.lines, reference, plan.size, backend_used.variant, auto, plan.target)
+    pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in work.lines}
+    title = f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}"
+    result = Chart(title, points, reference, pictures, notes)
+    _write(result, plan.out)
+    progress(f"done after {time.perf_counter() - began:.0f} s", 1.0)
+    return result
 
-    def fraction(samples: float) -> float:
-        """By paths, or by the time limit where that will end the sweep first."""
-        return (1.0 - REFERENCE_SHARE) * min(
-            max(spent / ((1.0 - REFERENCE_SHARE) * limit), (done + samples) / paths), 1.0
-        )
 
-    def picture(
+class _Sweep:
+    """Renders the lines of a chart from the cheapest level on, and then their reference.
+
+    Args:
+        plan: what was asked for.
+        renders: the shot.
+        lines: levels that are left to render; after `render` those that gave a picture.
+        notes: what is left out, and why, is added.
+        progress: told what is being rendered and about how much is done.
+    """
+
+    def __init__(
+        self, plan: ChartPlan, renders: _Renders, lines: list[_Line], notes: list[str], progress: Progress
+    ) -> None:
+        self.plan, self.renders, self.lines, self.notes, self.progress = plan, renders, lines, notes, progress
+        self.limit_s = plan.time_limit or (math.inf if plan.samples else LIMIT_S)
+        self.spent_s = 0.0
+        self.paths, self.paths_done = RUNS * sum(sum(line.levels) for line in lines), 0
+
+    def render(self, *, lenient: bool) -> None:
+        """All levels, as far as the time limit goes; a model that fails keeps what it has.
+
+        Raises:
+            ParameterError: no line gave a picture.
+            RuntimeError, ValueError: what was asked for by name failed, and not `lenient`.
+        """
+        lines = self.lines
+        while waiting := [line for line in lines if line.levels]:
+            line = min(waiting, key=_Line.estimate)
+            if line.runs and self.spent_s + line.estimate() > (1.0 - REFERENCE_SHARE) * self.limit_s:
+                skipped = ", ".join(line.words.get(level, f"{level} samples") for level in line.levels)
+                self.notes.append(f"{line.name}: {skipped} left out for time")
+                line.levels = []
+                continue
+            samples = line.levels.pop(0)
+            try:
+                self._render_level(line, samples)
+            except (RuntimeError, ValueError, ParameterError) as error:  # the others' chart goes on
+                if (self.plan.models and not lenient) or not lines[1:]:
+                    raise
+                why = str(error).splitlines()[0] if str(error) else type(error).__name__
+                self.notes.append(f"{line.name}: failed at {samples} samples: {why}")
+                line.levels = []
+        self.lines = [line for line in lines if line.runs]
+        if not self.lines:
+            raise ParameterError(f"{self.plan.stage}: no model gave a picture: {'; '.join(self.notes)}")
+
+    def _render_level(self, line: _Line, samples: int) -> None:
+        word = line.words.get(samples, "")
+        what = f"{line.name}, {word or f'{samples} samples'}"
+        results = [
+            self._picture(line.model, line.setting, samples, run, what, self._fraction, word) for run in range(RUNS)
+        ]
+        # negative estimates are cut as `render` does; the reference keeps them
+        line.runs[samples] = [np.maximum(rgb, 0.0) for rgb, *_ in results]
+        line.seconds[samples] = [elapsed for _, elapsed, _ in results[1:]]
+        line.spent[samples] = results[0][2]
+        if math.isnan(line.first_call_s):
+            line.first_call_s = results[0][1]
+        self.spent_s += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
+        if all(np.array_equal(rgb, line.runs[samples][0]) for rgb in line.runs[samples]):
+            line.levels = []  # no seed in it: more samples are the same picture
+
+    def _picture(
+        self,
         model: str,
         setting: Setting,
         samples: int,
         stream: str | int,
         what: str,
-        within: Callable[[float], float] = fraction,
+        fraction: Callable[[float], float],
         word: str = "",
     ) -> tuple[Array, float, float]:
-        nonlocal done
-        seed = seed32(plan.seed, "chart", line_name(model, setting), samples, stream)
-        settings = renders.settings(model, setting, samples, seed, word)
-        result = renders.render(settings, lambda _, part: progress(what, within(part * samples)))
-        done += samples
+        seed = seed32(self.plan.seed, "chart", line_name(model, setting), samples, stream)
+        settings = self.renders.settings(model, setting, samples, seed, word)
+        result = self.renders.render(settings, lambda _, part: self.progress(what, fraction(part * samples)))
+        self.paths_done += samples
         return result
 
-    while waiting := [line for line in sweep if line.levels]:
-        line = min(waiting, key=_Line.estimate)
-        samples = line.levels[0]
-        if line.runs and spent + line.estimate() > (1.0 - REFERENCE_SHARE) * limit:
-            left = ", ".join(line.words.get(level, f"{level} samples") for level in line.levels)
-            notes.append(f"{line.name}: {left} left out for time")
-            line.levels = []
-            continue
-        line.levels.pop(0)
-        try:
-            results = [
-                picture(
-                    line.model,
-                    line.setting,
-                    samples,
-                    run,
-                    f"{line.name}, {line.words.get(samples, f'{samples} samples')}",
-                    word=line.words.get(samples, ""),
-                )
-                for run in range(RUNS)
-            ]
-        except (
-            RuntimeError,
-            ValueError,
-            ParameterError,
-        ) as error:  # a model that fails on a shot must not take the others' chart with it
-            if (plan.models and not lenient) or not sweep[1:]:
-                raise
-            notes.append(
-                f"{line.name}: failed at {samples} samples: "
-                f"{str(error).splitlines()[0] if str(error) else type(error).__name__}"
-            )
-            line.levels = []
-            continue
-        line.runs[samples] = [
-            np.maximum(rgb, 0.0) for rgb, *_ in results
-        ]  # as `render` gives them; the reference keeps its noise
-        line.seconds[samples] = [elapsed for _, elapsed, _ in results[1:]]
-        line.spent[samples] = results[0][2]
-        if math.isnan(line.first_call_s):
-            line.first_call_s = results[0][1]
-        spent += min(line.seconds[samples]) * RUNS if len(line.runs) > 1 else 0.0
-        if all(np.array_equal(rgb, line.runs[samples][0]) for rgb in line.runs[samples]):
-            line.levels = []  # no seed in it: more samples are the same picture
-    sweep = [line for line in sweep if line.runs]
-    if not sweep:
-        raise ParameterError(f"{plan.stage}: no model gave a picture: {'; '.join(notes)}")
+    def _fraction(self, samples: float) -> float:
+        """By paths, or by the time limit where that will end the sweep first."""
+        by_time = self.spent_s / ((1.0 - REFERENCE_SHARE) * self.limit_s)
+        return (1.0 - REFERENCE_SHARE) * min(max(by_time, (self.paths_done + samples) / self.paths), 1.0)
 
-    finest = (
-        Setting(bands=max(plan.bands)) if plan.bands else PLAIN
-    )  # what R, G and B are short of is then seen as their bias
-    carried = {name: finest if name in models.ours_unbiased() else PLAIN for name in models.MODELS}
-    model = next((name for name in models.ours_unbiased() if name in holding), "volpath")
-    same = [line for line in sweep if line.model == model]
-    most = max(max(line.runs) for line in same or sweep)
-    reference_samples = plan.reference_samples or REFERENCE_FACTOR * most
-    if plan.reference_samples is None and math.isfinite(limit):
+    def reference(self, model: str) -> Reference:
+        """The converged picture by `model`, in the most wavelength bands of the sweep: what R, G and B lack is then
+        seen as their bias.
+        """
+        from synfog_usd.render.models import ours_unbiased
+
+        setting = Setting(bands=max(self.plan.bands)) if self.plan.bands and model in ours_unbiased() else PLAIN
+        count = self._reference_samples(model, setting)
+        shares = [count // PARTS + (index < count % PARTS) for index in range(PARTS)]
+
+        def fraction(index: int) -> Callable[[float], float]:
+            return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / count)
+
+        parts = [
+            self._picture(model, setting, share, f"reference {index}", f"reference, {model}", fraction(index))[0]
+            for index, share in enumerate(shares)
+        ]
+        return accuracy.combine(parts, shares, model)
+
+    def _reference_samples(self, model: str, setting: Setting) -> int:
+        same = [line for line in self.lines if line.model == model]
+        most = max(max(line.runs) for line in same or self.lines)
+        if self.plan.reference_samples is not None:
+            return self.plan.reference_samples
+        if not math.isfinite(self.limit_s):
+            return REFERENCE_FACTOR * most
         plain = next((line for line in same if line.setting == PLAIN), None)
         if plain:
-            each = min(plain.seconds[max(plain.runs)]) / max(plain.runs)
+            each_s = min(plain.seconds[max(plain.runs)]) / max(plain.runs)
         else:
-            probes = [picture(model, carried[model], PROBE_SAMPLES, run, f"probe of {model}")[1] for run in range(2)]
-            each = probes[-1] / PROBE_SAMPLES
-        affordable = int(max(limit - spent, REFERENCE_SHARE * limit) / each)
-        reference_samples = max(min(affordable, 64 * most), 2 * most, 2 * PARTS)
-    shares = [reference_samples // PARTS + (index < reference_samples % PARTS) for index in range(PARTS)]
-
-    def last(index: int) -> Callable[[float], float]:
-        return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / reference_samples)
-
-    parts = [
-        picture(model, carried[model], share, f"reference {index}", f"reference, {model}", last(index))[0]
-        for index, share in enumerate(shares)
-    ]
-    reference = accuracy.combine(parts, shares, model)
-
-    points = _points(sweep, reference, plan.size, chosen.variant, auto, plan.target)
-    pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in sweep}
-    made = Chart(f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}", points, reference, pictures, notes)
-    _write(made, plan.out)
-    progress(f"done after {time.perf_counter() - began:.0f} s", 1.0)
-    return made
+            probes = [
+                self._picture(model, setting, PROBE_SAMPLES, run, f"probe of {model}", self._fraction)[1]
+                for run in range(2)
+            ]
+            each_s = probes[-1] / PROBE_SAMPLES
+        affordable = int(max(self.limit_s - self.spent_s, REFERENCE_SHARE * self.limit_s) / each_s)
+        return max(min(affordable, 64 * most), 2 * most, 2 * PARTS)
 
 
 def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:

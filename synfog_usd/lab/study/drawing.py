@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from synfog_usd.lab.study.points import ERROR, MOTTLE, Point, front, lines
@@ -128,13 +128,9 @@ def _panel(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float
 
 def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> tuple[bytes, bytes]:
     """One small chart a stage on common axes, colours named once: (SVG, PNG)."""
-    from matplotlib.lines import Line2D
-
     pyplot = _pyplot()
     columns = min(3, len(stages))
     rows = math.ceil(len(stages) / columns)
-    everything = [point for points in stages.values() for point in points]
-    names = list(lines(everything))
     with pyplot.rc_context({**STYLE, **dict.fromkeys(COLOUR_KEYS, INK), "font.size": 9}):
         figure, grid = pyplot.subplots(
             rows,
@@ -145,76 +141,14 @@ def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> t
             sharey=True,
             squeeze=False,
         )
-        for index, axes in enumerate(grid.flat):
-            if index >= len(stages):
-                axes.set_visible(False)
-                continue
-            name, points = list(stages.items())[index]
-            _scales(
-                axes,
-                [p for p in everything if p.amount(measure) > 0.0] or everything,
-                points[0],
-                measure,
-                lowest=min(p.reference_rms for p in everything),
-                dense=False,
-            )
-            _front(axes, points, measure)
-            by_line = lines(points)
-            for line_name, line in by_line.items():
-                colour, marker = look(line[0].model)
-                seen = [p for p in line if p.amount(measure) > 0.0]
-                dash = _dash(line_name, by_line)
-                fill = colour if dash == "-" else PAPER
-                axes.plot(
-                    [p.seconds for p in seen],
-                    [p.amount(measure) for p in seen],
-                    dash + marker,
-                    color=colour,
-                    lw=1.3,
-                    ms=4.5,
-                    mfc=fill,
-                    zorder=3,
-                )
-            chosen = [p for p in points if p.enough and measure == ERROR]
-            axes.plot(
-                [p.seconds for p in chosen],
-                [p.relative_rms for p in chosen],
-                "o",
-                ms=12,
-                mfc="none",
-                mec=INK,
-                mew=1.3,
-                zorder=6,
-            )
-            axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
+        for axes in grid.flat[len(stages) :]:
+            axes.set_visible(False)
+        for index, (axes, name) in enumerate(zip(grid.flat, stages, strict=False)):
+            _small_panel(axes, stages, name, measure)
             axes.tick_params(labelbottom=index + columns >= len(stages))
         figure.supxlabel(SECONDS, fontsize=9.5)
         figure.supylabel(AXES[measure], fontsize=9.5)
-        handles = []
-        for name in names:
-            model = next(p for p in everything if p.line == name).model
-            colour, marker = look(model)
-            dash = _dash(name, names)
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    color=colour,
-                    marker=marker,
-                    ls=dash,
-                    ms=5,
-                    lw=1.4,
-                    mfc=colour if dash == "-" else PAPER,
-                    label=name,
-                )
-            )
-        handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
-        if measure == ERROR:
-            handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
-        if measure == ERROR and any(point.enough for point in everything):
-            handles.append(
-                Line2D([], [], color=INK, marker="o", ms=10, mfc="none", ls="", label="enough for the error asked for")
-            )
+        handles = _handles([point for points in stages.values() for point in points], measure)
         figure.legend(
             handles=handles,
             loc="outside upper center",
@@ -223,6 +157,58 @@ def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> t
             fontsize=9,
         )
         return _both(pyplot, figure)
+
+
+def _small_panel(axes: Any, stages: Mapping[str, Sequence[Point]], name: str, measure: str) -> None:
+    """One stage of a suite."""
+    everything, points = [point for each in stages.values() for point in each], stages[name]
+    _scales(
+        axes,
+        [p for p in everything if p.amount(measure) > 0.0] or everything,
+        points[0],
+        measure,
+        lowest=min(p.reference_rms for p in everything),
+        dense=False,
+    )
+    _front(axes, points, measure)
+    by_line = lines(points)
+    for line_name, line in by_line.items():
+        colour, marker = look(line[0].model)
+        shown = [p for p in line if p.amount(measure) > 0.0]
+        dash = _dash(line_name, by_line)
+        axes.plot(
+            [p.seconds for p in shown],
+            [p.amount(measure) for p in shown],
+            dash + marker,
+            color=colour,
+            lw=1.3,
+            ms=4.5,
+            mfc=colour if dash == "-" else PAPER,
+            zorder=3,
+        )
+    ringed = [p for p in points if p.enough and measure == ERROR]
+    ring = {"ms": 12, "mfc": "none", "mec": INK, "mew": 1.3, "zorder": 6}
+    axes.plot([p.seconds for p in ringed], [p.relative_rms for p in ringed], "o", **ring)
+    axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
+
+
+def _handles(points: Sequence[Point], measure: str) -> list[Any]:
+    """What the legend of a suite names: each line, and what else is drawn."""
+    from matplotlib.lines import Line2D
+
+    handles, names = [], list(lines(points))
+    for name in names:
+        colour, marker = look(next(p for p in points if p.line == name).model)
+        dash = _dash(name, names)
+        fill = colour if dash == "-" else PAPER
+        handles.append(Line2D([], [], color=colour, marker=marker, ls=dash, ms=5, lw=1.4, mfc=fill, label=name))
+    handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
+    if measure == ERROR:
+        handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
+    if measure == ERROR and any(point.enough for point in points):
+        ring = {"marker": "o", "ms": 10, "mfc": "none", "ls": ""}
+        handles.append(Line2D([], [], color=INK, label="enough for the error asked for", **ring))
+    return handles
 
 
 def themed(svg: str) -> str:
@@ -380,77 +366,86 @@ def _aside(axes: Any, by_line: Mapping[str, Sequence[Point]], first: Point) -> N
 
 def _label(axes: Any, points: Sequence[Point], steps: Sequence[tuple[float, float]], measure: str) -> None:
     """Names at the ends of lines, then words and numbers of samples where there is room for them."""
-    figure, by_line = axes.figure, _drawable(points, measure)
-    renderer = figure.canvas.get_renderer()
-    to_pixels, unit = axes.transData.transform, figure.dpi / 72.0
-    places = {
-        id(point): to_pixels((point.seconds, point.amount(measure))) for line in by_line.values() for point in line
-    }
-    taken: list[tuple[float, float, float, float]] = []
-    for point in (point for line in by_line.values() for point in line):
-        reach = (10.0 if point.enough else 5.0) * unit
-        x, y = places[id(point)]
-        taken.append((x - reach, y - reach, x + reach, y + reach))
-    strokes: list[tuple[float, float]] = []
-    drawn = [[places[id(point)] for point in line] for line in by_line.values()]
-    for path in [*drawn, [to_pixels(corner) for corner in steps]]:
-        for (x0, y0), (x1, y1) in itertools.pairwise(path):
-            count = max(2, int(math.hypot(x1 - x0, y1 - y0) / (3 * unit)))
-            strokes += [(x0 + (x1 - x0) * i / count, y0 + (y1 - y0) * i / count) for i in range(count + 1)]
-    frame = axes.get_window_extent(renderer)
-    inside = (frame.x0 + 2 * unit, frame.y0 + 2 * unit, frame.x1 - 2 * unit, frame.y1 - 2 * unit)
+    labels = _Labels(axes, _drawable(points, measure), steps, measure)
+    for name, line in sorted(labels.by_line.items(), key=lambda item: -item[1][-1].seconds):
+        labels.put(line[-1], name, required=True, fontsize=10.0, fontweight="bold")
+    for line in labels.by_line.values():
+        for point in dict.fromkeys((line[-1], line[0], *line[1:-1])):
+            labels.put(point, point.mark, required=False, fontsize=8.0, fontweight="normal")
 
-    def put(point: Point, text: str, size: float, weight: str, colour: str, *, must: bool) -> None:
-        label = axes.annotate(
-            text,
-            (point.seconds, point.amount(measure)),
-            (0, 0),
-            textcoords="offset points",
-            color=colour,
-            fontsize=size,
-            fontweight=weight,
-            zorder=7,
-        )
-        extent = label.get_window_extent(renderer)
-        width, height = extent.width, extent.height
-        x, y = places[id(point)]
-        best, own = None, {id(other) for other in by_line[point.line]}
-        for distance in (7.0, 10.0, 15.0, 22.0, 32.0, 44.0, 60.0) if must else (6.5, 9.0):
-            for dx, dy in DIRECTIONS:
-                reach = distance * unit / math.hypot(dx, dy)
-                left = x + dx * reach - width * (0.5 - 0.5 * dx)
-                low = y + dy * reach - height * (0.5 - 0.5 * dy)
-                box = (left - unit, low, left + width + unit, low + height)
-                if box[0] < inside[0] or box[1] < inside[1] or box[2] > inside[2] or box[3] > inside[3]:
-                    continue
-                cost = (
-                    10.0 * sum(_overlap(box, other) for other in taken)
-                    + 0.2 * sum(_holds(box, place) for place in strokes)
-                    + distance / 20.0
-                )
-                others = (place for key, place in places.items() if key not in own)
-                if math.dist(_nearest(box, (x, y)), (x, y)) > min(
-                    (math.dist(_nearest(box, place), place) for place in others), default=math.inf
-                ):
-                    cost += 3.0  # it would be read as another line's
-                if best is None or cost < best[0]:
-                    best = (cost, box, distance)
-        if best is None or (best[0] >= 1.2 and not must):
+
+class _Labels:
+    """Labels beside marks, each where it covers no mark, no other label, and as little as possible of the lines.
+
+    Args:
+        axes: whose scales are final.
+        by_line: marks.
+        steps: corners of the front [data].
+        measure: of the axis.
+    """
+
+    def __init__(
+        self, axes: Any, by_line: dict[str, list[Point]], steps: Sequence[tuple[float, float]], measure: str
+    ) -> None:
+        self.axes, self.by_line, self.measure = axes, by_line, measure
+        self.renderer, self.unit = axes.figure.canvas.get_renderer(), axes.figure.dpi / 72.0  # pixels of a point
+        to_pixels = axes.transData.transform
+        self.marks = {
+            id(point): to_pixels((point.seconds, point.amount(measure))) for line in by_line.values() for point in line
+        }
+        self.boxes: list[tuple[float, float, float, float]] = []
+        for point in (point for line in by_line.values() for point in line):
+            reach = (10.0 if point.enough else 5.0) * self.unit
+            x, y = self.marks[id(point)]
+            self.boxes.append((x - reach, y - reach, x + reach, y + reach))
+        self.strokes: list[tuple[float, float]] = []
+        paths = [[self.marks[id(point)] for point in line] for line in by_line.values()]
+        for path in [*paths, [to_pixels(corner) for corner in steps]]:
+            for (x0, y0), (x1, y1) in itertools.pairwise(path):
+                count = max(2, int(math.hypot(x1 - x0, y1 - y0) / (3 * self.unit)))
+                self.strokes += [(x0 + (x1 - x0) * i / count, y0 + (y1 - y0) * i / count) for i in range(count + 1)]
+        frame, margin = axes.get_window_extent(self.renderer), 2 * self.unit
+        self.frame = (frame.x0 + margin, frame.y0 + margin, frame.x1 - margin, frame.y1 - margin)
+
+    def put(self, point: Point, text: str, *, required: bool, **font: Any) -> None:
+        """Write beside a mark; where there is no room, not at all unless `required`."""
+        colour = look(point.model)[0]
+        at = (point.seconds, point.amount(self.measure))
+        label = self.axes.annotate(text, at, (0, 0), textcoords="offset points", color=colour, zorder=7, **font)
+        extent = label.get_window_extent(self.renderer)
+        best = min(self._candidates(point, extent.width, extent.height, required), default=None, key=lambda one: one[0])
+        if best is None or (best[0] >= 1.2 and not required):
             label.remove()
             return
-        taken.append(best[1])
-        label.set_position(((best[1][0] + unit - extent.x0) / unit, (best[1][1] - extent.y0) / unit))
-        if best[2] > 20.0:
-            end = axes.transData.inverted().transform(_nearest(best[1], (x, y)))
-            axes.plot(
-                [point.seconds, end[0]], [point.amount(measure), end[1]], color=colour, lw=0.7, alpha=0.7, zorder=2
-            )
+        _, box, distance = best
+        self.boxes.append(box)
+        label.set_position(((box[0] + self.unit - extent.x0) / self.unit, (box[1] - extent.y0) / self.unit))
+        if distance > 20.0:
+            end = self.axes.transData.inverted().transform(_nearest(box, self.marks[id(point)]))
+            self.axes.plot([at[0], end[0]], [at[1], end[1]], color=colour, lw=0.7, alpha=0.7, zorder=2)
 
-    for name, line in sorted(by_line.items(), key=lambda item: -item[1][-1].seconds):
-        put(line[-1], name, 10.0, "bold", look(line[0].model)[0], must=True)
-    for line in by_line.values():
-        for point in dict.fromkeys((line[-1], line[0], *line[1:-1])):
-            put(point, point.mark, 8.0, "normal", look(point.model)[0], must=False)
+    def _candidates(
+        self, point: Point, width: float, height: float, required: bool
+    ) -> Iterator[tuple[float, tuple[float, float, float, float], float]]:
+        """(cost, box [px], distance [points]) within the frame."""
+        x, y = self.marks[id(point)]
+        mine = {id(mark) for mark in self.by_line[point.line]}
+        foreign = [place for key, place in self.marks.items() if key not in mine]
+        for distance in (7.0, 10.0, 15.0, 22.0, 32.0, 44.0, 60.0) if required else (6.5, 9.0):
+            for dx, dy in DIRECTIONS:
+                reach = distance * self.unit / math.hypot(dx, dy)
+                left = x + dx * reach - width * (0.5 - 0.5 * dx)
+                low = y + dy * reach - height * (0.5 - 0.5 * dy)
+                box = (left - self.unit, low, left + width + self.unit, low + height)
+                inside = self.frame
+                if box[0] < inside[0] or box[1] < inside[1] or box[2] > inside[2] or box[3] > inside[3]:
+                    continue
+                covered = sum(_overlap(box, other) for other in self.boxes)
+                cost = 10.0 * covered + 0.2 * sum(_holds(box, place) for place in self.strokes) + distance / 20.0
+                to_foreign = min((math.dist(_nearest(box, place), place) for place in foreign), default=math.inf)
+                if math.dist(_nearest(box, (x, y)), (x, y)) > to_foreign:
+                    cost += 3.0  # it would be read as another line's
+                yield cost, box, distance
 
 
 def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
