@@ -7,6 +7,7 @@ Knows neither light nor noise; what a reading is worth it finds in the provenanc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -50,20 +51,9 @@ def merge_hdr(
         raise ImageError("one reading has nothing to be merged with; name two or more in 'in'")
     readings = sorted(images, key=_dn_per_light, reverse=True)
     first = readings[0]
-    for other in readings[1:]:
-        if other.pixels.shape != first.pixels.shape or other.provenance.get("cfa_pattern") != first.provenance.get(
-            "cfa_pattern"
-        ):
-            raise ImageError(f"readings of {_what(first)} and {_what(other)} cannot be merged")
     ratios = [_dn_per_light(first) / _dn_per_light(reading) for reading in readings]
     tops = [_top_dn(reading) for reading in readings]
-    for index in range(1, len(readings)):
-        if not tops[index] * ratios[index] > tops[index - 1] * ratios[index - 1]:
-            raise ImageError(
-                f"reading {index + 1} by sensitivity ends at {tops[index] * ratios[index]:.0f} DN of the first, not "
-                f"above the one before "
-                f"({tops[index - 1] * ratios[index - 1]:.0f}); lower its factor, exposure_ratio or fill_factor"
-            )
+    _check_readings(readings, ratios, tops)
     merged = _signal(readings[-1]) * np.float32(ratios[-1])
     for reading, ratio, top in list(zip(readings, ratios, tops, strict=True))[-2::-1]:
         signal = _signal(reading)
@@ -91,6 +81,22 @@ def merge_hdr(
         hdr_ratios=ratios,
         hdr_knees_dn=[black + threshold * top * ratio for top, ratio in zip(tops[:-1], ratios[:-1], strict=True)],
     )
+
+
+def _check_readings(readings: Sequence[Image], ratios: Sequence[float], tops: Sequence[float]) -> None:
+    first = readings[0]
+    for other in readings[1:]:
+        if other.pixels.shape != first.pixels.shape or other.provenance.get("cfa_pattern") != first.provenance.get(
+            "cfa_pattern"
+        ):
+            raise ImageError(f"readings of {_what(first)} and {_what(other)} cannot be merged")
+    for index in range(1, len(readings)):
+        if not tops[index] * ratios[index] > tops[index - 1] * ratios[index - 1]:
+            raise ImageError(
+                f"reading {index + 1} by sensitivity ends at {tops[index] * ratios[index]:.0f} DN of the first, not "
+                f"above the one before "
+                f"({tops[index - 1] * ratios[index - 1]:.0f}); lower its factor, exposure_ratio or fill_factor"
+            )
 
 
 @OPS.op("sensor.compand", takes=NUMBERS, gives=NUMBERS)

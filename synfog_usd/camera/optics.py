@@ -111,10 +111,9 @@ def irradiance(
     cone = _cone(f_number, magnification)
     if aperture == "sine":
         cone = min(1.0, cone / (1.0 - cone))  # sin^2 of the angle whose tangent the disc has, as its sine
-    factor, fade = np.float32(transmission * math.pi * cone), None
     table = (tuple(field_deg or ()), tuple(relative_illumination or ()))
     metadata: dict[str, Any] = {"f_number": f_number, "falloff": falloff}
-    lens = of_picture(image.provenance)
+    lens, fade = of_picture(image.provenance), None
     if falloff != "none":
         if fov_x_deg is None and lens is None:
             raise ImageError(
@@ -131,18 +130,24 @@ def irradiance(
             table=table,
             lens=lens,
         )
-        if falloff == "table":
-            metadata["relative_illumination"] = [list(column) for column in table]
-    pixels = planar(image.pixels.shape)
-    for rows in strips(image.height_px):
-        here = factor if fade is None else factor * fade[rows]
-        for channel in range(pixels.shape[2]):
-            np.multiply(image.pixels[rows, :, channel], here, out=pixels[rows, :, channel])
+    if falloff == "table":
+        metadata["relative_illumination"] = [list(column) for column in table]
+    pixels = _scaled(image.pixels, np.float32(transmission * math.pi * cone), fade)
     if fov_x_deg is not None:
         metadata["fov_x_deg"] = fov_x_deg
     if focal_length_mm is not None:
         metadata["focal_length_mm"] = focal_length_mm
     return image.with_pixels(pixels, quantity=Quantity.IRRADIANCE).with_metadata(**metadata)
+
+
+def _scaled(pixels: FloatArray, factor: np.float32, fade: FloatArray | None) -> FloatArray:
+    """(H, W, C) times a factor and a map, in planes."""
+    result = planar(pixels.shape)
+    for rows in strips(pixels.shape[0]):
+        here = factor if fade is None else factor * fade[rows]
+        for channel in range(pixels.shape[2]):
+            np.multiply(pixels[rows, :, channel], here, out=result[rows, :, channel])
+    return result
 
 
 def falloff_map(

@@ -113,7 +113,6 @@ def bake(
         log(_no_fog(plan, usd.variants(session.stage).get("fog", ())))
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
     metadata = metadata_of(asked, usd.stage_hash(session.stage), session.graph.hash, chosen.variant)
-
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger = Ledger(plan.out, metadata, scenes.notes(todo))

@@ -74,13 +74,9 @@ def bake_cameras(
             )
             first = baked if camera == cameras[0] else first
         assert first is not None
-        manifest = {
-            "schema": "synfog-usd/rig",
-            "version": 1,
-            "stage": plan.stage.name,
-            "meter": plan.meter,
-            "cameras": [{"camera": camera, "folder": folders[camera]} for camera in cameras],
-        }
+        rows = [{"camera": camera, "folder": folders[camera]} for camera in cameras]
+        manifest = {"schema": "synfog-usd/rig", "version": 1, "stage": plan.stage.name}
+        manifest |= {"meter": plan.meter, "cameras": rows}
         files.write_json(plan.out / RIG, manifest)
     progress("done", 1.0)
     return manifest, first

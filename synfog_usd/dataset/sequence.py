@@ -76,30 +76,25 @@ def bake_sequence(
             frame = replace(plan, frame=code, seed=seed, out=plan.out / folder, clip=clip)
             baked = bake(frame, progress=part, log=frame_log, reading=reading)
             bakes.append(baked)
-            exposures = {
-                row["lighting"]: (row["exposure"]["exposure_s"], row["exposure"]["iso"])
-                for row in baked.manifest["shots"]
-                if row["exposure"]
-            }
+            exposures = _exposures(baked.manifest)
             before |= exposures
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
         earlier = _clip_files(plan.out)
+        manifest = {"schema": "synfog-usd/sequence", "version": 1, "stage": plan.stage.name, "frames_per_s": per_s}
+        manifest |= {"adaptation_s": adaptation_s, "warnings": warnings, "frames": rows}
+        manifest["clips"] = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
         flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
-        manifest = {
-            "schema": "synfog-usd/sequence",
-            "version": 1,
-            "stage": plan.stage.name,
-            "frames_per_s": per_s,
-            "adaptation_s": adaptation_s,
-            "warnings": warnings,
-            "frames": rows,
-            "clips": _gather(plan.out, rows, bakes[0].manifest, per_s, log),
-        }
         files.write_json(plan.out / SEQUENCE, manifest)
         if moved := _set_aside(plan.out, earlier - _clip_files(plan.out)):
             log(f"{plan.out}: {moved}")
     progress("done", 1.0)
     return manifest, bakes[0]
+
+
+def _exposures(manifest: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Lighting -> exposure time [s] and ISO, where a bake has them."""
+    rows = [row for row in manifest["shots"] if row["exposure"]]
+    return {row["lighting"]: (row["exposure"]["exposure_s"], row["exposure"]["iso"]) for row in rows}
 
 
 class _FrameLog:

@@ -164,30 +164,8 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
         parts.append(_text(x + 24, y + 21, _cut(name, BOX_W - 48), weight="bold"))
         parts.append(_text(x + 24, y + 39, str(port), size=11, fill="#666666"))
     for node in graph.nodes.values():
-        x, y = layout.corner(node.name)
-        high = layout.height_of(node.name)
-        parameters = ", ".join(
-            f"{key}={_shown(bound)}" for key, bound in node.params.items() if bound.source in CHANGED
-        )
-        time = _with_unit(_time(node, run))
-        room = BOX_W - 26 - (len(time) + 1) * 12 * CHAR_W
-        parts.append(f"<g><title>{escape(f'{node.name}: {node.op.name} {parameters}')}</title>")
-        parts.append(f'<rect x="{x}" y="{y}" width="{BOX_W}" height="{high}" fill="#fafafa" stroke="#888888"/>')
-        parts.append(f'<rect x="{x}" y="{y}" width="6" height="{high}" fill="{palette[node.op.family]}"/>')
-        if longest and node.name in spent:
-            parts.append(
-                f'<rect x="{x + 6}" y="{y + high - 4}" width="{(BOX_W - 6) * spent[node.name] / longest:.1f}" '
-                f'height="4" fill="{palette[node.op.family]}"/>'
-            )
-        parts.append(_text(x + 14, y + 18, _cut(node.name, room), weight="bold"))
-        parts.append(
-            _text(
-                x + 14, y + 36, _cut(f"{node.op.name}  {parameters}".rstrip(), BOX_W - 22, 11), size=11, fill="#444444"
-            )
-        )
-        if time:
-            parts.append(_text(x + BOX_W - 8, y + 18, time, size=12, anchor="end"))
-        parts.append("</g>")
+        share = spent[node.name] / longest if longest and node.name in spent else None
+        parts += _box(layout, node, _with_unit(_time(node, run)), share, palette[node.op.family])
     for name, files in layout.files.items():
         x, y = layout.corner(name)
         for index, file_name in enumerate(files):
@@ -199,6 +177,28 @@ def svg(graph: NodeGraph, run: GraphRun | None = None) -> str:
                 )
             )
     return "\n".join([*parts, "</svg>\n"])
+
+
+def _box(layout: _Layout, node: Node, time: str, share: float | None, colour: str) -> list[str]:
+    """A node, with a bar as long as its share of the longest time."""
+    x, y = layout.corner(node.name)
+    high = layout.height_of(node.name)
+    parameters = ", ".join(f"{key}={_shown(bound)}" for key, bound in node.params.items() if bound.source in CHANGED)
+    room = BOX_W - 26 - (len(time) + 1) * 12 * CHAR_W
+    op = _cut(f"{node.op.name}  {parameters}".rstrip(), BOX_W - 22, 11)
+    parts = [
+        f"<g><title>{escape(f'{node.name}: {node.op.name} {parameters}')}</title>",
+        f'<rect x="{x}" y="{y}" width="{BOX_W}" height="{high}" fill="#fafafa" stroke="#888888"/>',
+        f'<rect x="{x}" y="{y}" width="6" height="{high}" fill="{colour}"/>',
+    ]
+    if share is not None:
+        bar = f'width="{(BOX_W - 6) * share:.1f}" height="4" fill="{colour}"'
+        parts.append(f'<rect x="{x + 6}" y="{y + high - 4}" {bar}/>')
+    parts.append(_text(x + 14, y + 18, _cut(node.name, room), weight="bold"))
+    parts.append(_text(x + 14, y + 36, op, size=11, fill="#444444"))
+    if time:
+        parts.append(_text(x + BOX_W - 8, y + 18, time, size=12, anchor="end"))
+    return [*parts, "</g>"]
 
 
 @dataclass(frozen=True)

@@ -273,41 +273,35 @@ class NodeGraph:
         """
         system.keep_memory()
         graph = self.with_overrides(overrides) if overrides else self
-        wanted = graph._needed(until)
+        needed = graph._needed(until)
         for name in keep or ():
             graph._check_node(name)
-        kept = wanted if keep is None else keep
-        have = graph._checked_inputs(images, wanted)
-        keys = graph._keys(have, wanted, seed, settings or {}) if cache else {}
-        running, found = graph._missing(keys, wanted, kept, cache) if cache else (wanted, {})
-        readers = {name: sum(name in graph.nodes[node].inputs for node in running) for name in (*have, *wanted)}
-        have |= found
+        returned = needed if keep is None else keep
+        have = graph._checked_inputs(images, needed)
+        keys = graph._keys(have, needed, seed, settings or {}) if cache else {}
+        running, cached = graph._missing(keys, needed, returned, cache) if cache else (needed, {})
+        readers = {name: sum(name in graph.nodes[node].inputs for node in running) for name in (*have, *needed)}
+        have |= cached
         milliseconds: dict[str, float] = {}
-        done = {name: image for name, image in found.items() if name in kept}
+        done = {name: image for name, image in cached.items() if name in returned}
         for index, name in enumerate(running):
-            node = graph.nodes[name]
             progress(name, index / len(running))
-            sources = [have[source] for source in node.inputs]
             began = time.perf_counter()
-            result = graph._apply(node, sources, seed, settings or {})
+            have[name] = graph._apply(graph.nodes[name], have, seed, settings or {})
             milliseconds[name] = (time.perf_counter() - began) * 1e3
-            have[name] = result
             if cache and (key := keys[name]) is not None:
-                cache.put(key, _noted_as(result, dict.fromkeys(NOTES)))
-            if name in kept:
-                done[name] = result
-            for source in set(node.inputs):
+                cache.put(key, _noted_as(have[name], dict.fromkeys(NOTES)))
+            if name in returned:
+                done[name] = have[name]
+            for source in set(graph.nodes[name].inputs):
                 readers[source] -= 1
                 if readers[source] == 0:
                     del have[source]
         if cache:
             cache.flush()
         progress("done", 1.0)
-        return GraphRun(
-            {name: done[name] for name in wanted if name in done},
-            milliseconds,
-            tuple(name for name in wanted if name not in running),
-        )
+        reused = tuple(name for name in needed if name not in running)
+        return GraphRun({name: done[name] for name in needed if name in done}, milliseconds, reused)
 
     def outputs_of(self, name: str) -> dict[str, str]:
         """The outputs that `name` means: a file ('raw.dng'), or all of that stem ('raw'); file name -> node."""
@@ -421,7 +415,8 @@ class NodeGraph:
             have[name] = image.with_metadata(**note)
         return have
 
-    def _apply(self, node: Node, images: list[Image], seed: int, settings: Mapping[str, Any]) -> Image:
+    def _apply(self, node: Node, have: Mapping[str, Image], seed: int, settings: Mapping[str, Any]) -> Image:
+        images = [have[source] for source in node.inputs]
         arguments: dict[str, Any] = {}
         for name, bound in node.params.items():
             arguments[name] = self._looked_up(node, name, bound, images[0], settings) if bound.is_auto else bound.value

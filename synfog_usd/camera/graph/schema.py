@@ -28,7 +28,6 @@ def schema(
         profiles: kind -> shipped names, to be completed.
         graphs: shipped graphs, to be completed behind 'extends'.
     """
-    suffixes = "|".join(suffix[1:] for suffix in FORMATS)
     headers = {
         kind: {
             "description": f"A shipped {kind} profile, or the path of an own one that ends in .yaml.",
@@ -49,18 +48,7 @@ def schema(
                 "description": "A shipped graph, or the path of an own one, whose nodes and outputs are changed here.",
                 "anyOf": _named(graphs),
             },
-            "inputs": {
-                "description": "Pictures that go in: a list of names (radiance), or names with what they measure.",
-                "anyOf": [
-                    {"type": "array", "items": {"type": "string", "pattern": NAME}, "minItems": 1, "uniqueItems": True},
-                    {
-                        "type": "object",
-                        "minProperties": 1,
-                        "propertyNames": {"pattern": NAME},
-                        "additionalProperties": {"enum": _quantities()},
-                    },
-                ],
-            },
+            "inputs": _inputs(),
             **headers,
             "nodes": {
                 "description": "Steps, each reading the one before it unless 'in' names others.",
@@ -68,17 +56,36 @@ def schema(
                 "minItems": 1,
                 "items": _node(registry),
             },
-            "outputs": {
-                "description": "Files and the nodes that they are made of; {node: NAME, ...} says also "
-                "how a file is written.",
+            "outputs": _outputs(),
+        },
+    }
+
+
+def _inputs() -> dict[str, Any]:
+    return {
+        "description": "Pictures that go in: a list of names (radiance), or names with what they measure.",
+        "anyOf": [
+            {"type": "array", "items": {"type": "string", "pattern": NAME}, "minItems": 1, "uniqueItems": True},
+            {
                 "type": "object",
                 "minProperties": 1,
-                "propertyNames": {"pattern": rf"^[A-Za-z0-9][A-Za-z0-9._-]*\.({suffixes})$"},
-                "patternProperties": {
-                    rf"\.{suffix[1:]}$": {"anyOf": [{"type": ["string", "null"]}, _output(options)]}
-                    for suffix, options in OPTIONS.items()
-                },
+                "propertyNames": {"pattern": NAME},
+                "additionalProperties": {"enum": _quantities()},
             },
+        ],
+    }
+
+
+def _outputs() -> dict[str, Any]:
+    suffixes = "|".join(suffix[1:] for suffix in FORMATS)
+    return {
+        "description": "Files and the nodes that they are made of; {node: NAME, ...} says also how a file is written.",
+        "type": "object",
+        "minProperties": 1,
+        "propertyNames": {"pattern": rf"^[A-Za-z0-9][A-Za-z0-9._-]*\.({suffixes})$"},
+        "patternProperties": {
+            rf"\.{suffix[1:]}$": {"anyOf": [{"type": ["string", "null"]}, _output(options)]}
+            for suffix, options in OPTIONS.items()
         },
     }
 

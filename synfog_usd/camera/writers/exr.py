@@ -85,8 +85,12 @@ def write_exr(
         raise ImageError(
             f"{path}: a value of {peak:g} does not fit 16-bit floats, which end at {HALF_MAX:g}; write 32 bits"
         )
+    metadata = {"compression": compression, **_metadata(first, names), **(attributes or {})}
+    write_whole(path, lambda temporary: _write(temporary, path, pixels, names, metadata, half))
+
+
+def _metadata(first: Image, names: Sequence[str]) -> dict[str, Any]:
     metadata: dict[str, Any] = {
-        "compression": compression,
         "DateTime": FIXED_DATE,
         "Software": f"synfog-usd {__version__}",
         "synfog:quantity": first.quantity.value,
@@ -101,8 +105,7 @@ def write_exr(
         metadata["whiteLuminance"] = 1.0
     if any(band_centre_nm(name) is not None for name in first.channels):
         metadata |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
-    metadata |= attributes or {}
-    write_whole(path, lambda temporary: _write(temporary, path, pixels, names, metadata, half))
+    return metadata
 
 
 def _write(
