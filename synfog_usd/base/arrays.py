@@ -49,7 +49,9 @@ def extent(*clouds: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any
     `min(axis=0)`, since numpy is slow where the innermost axis is short.
     """
     columns = [np.ascontiguousarray(points.T) for points in clouds]
-    return np.min([one.min(axis=1) for one in columns], axis=0), np.max([one.max(axis=1) for one in columns], axis=0)
+    return np.min([column.min(axis=1) for column in columns], axis=0), np.max(
+        [column.max(axis=1) for column in columns], axis=0
+    )
 
 
 def distinct(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:

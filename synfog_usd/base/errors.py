@@ -49,7 +49,7 @@ class BackendError(SynfogError):
     """A Mitsuba variant that this machine does not run."""
 
 
-def did_you_mean(found: str, allowed: Iterable[str]) -> str:
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """' Did you mean 'x'?' for the nearest of `allowed`, or '' where none is near."""
-    near = difflib.get_close_matches(found, list(allowed), n=1, cutoff=0.55)
+    near = difflib.get_close_matches(word, list(allowed), n=1, cutoff=0.55)
     return f" Did you mean {near[0]!r}?" if near else ""

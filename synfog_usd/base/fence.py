@@ -80,8 +80,8 @@ def _inside(real: Path, folder: Path) -> bool:
     return any(_same(above, folder) for above in real.parents if above.name.casefold() == folder.name.casefold())
 
 
-def _same(one: Path, other: Path) -> bool:
+def _same(path: Path, reference: Path) -> bool:
     try:
-        return one.samefile(other)
+        return path.samefile(reference)
     except OSError:
         return False

@@ -111,8 +111,8 @@ def _cloned(source: Path, target: Path) -> bool:
     except ImportError:  # Windows
         return False
     try:
-        with source.open("rb") as one, target.open("wb") as other:
-            fcntl.ioctl(other.fileno(), _FICLONE, one.fileno())
+        with source.open("rb") as reader, target.open("wb") as writer:
+            fcntl.ioctl(writer.fileno(), _FICLONE, reader.fileno())
     except OSError:
         return False
     return True

@@ -99,8 +99,8 @@ class Fisheye:
     def angle(self, radius: Array) -> Array:
         """Angle to the axis [rad] of what is seen at a distance from it [widths]; nan beyond what the lens shows."""
         angles, most = self.table
-        found = self._newton(radius, np.interp(radius, np.linspace(0.0, most, ROWS + 1), angles))
-        return np.where(radius <= most * (1.0 + 1e-12), found, np.nan)
+        theta = self._newton(radius, np.interp(radius, np.linspace(0.0, most, ROWS + 1), angles))
+        return np.where(radius <= most * (1.0 + 1e-12), theta, np.nan)
 
     def _newton(self, radius: Array, angle: Array) -> Array:
         slope = self._scaled.deriv()
@@ -127,8 +127,8 @@ class Fisheye:
         """Steradians that a square of the picture sees, over those of one on the axis [1]: sin t dt / (r dr)."""
         near = angle_rad < 1e-6
         t = np.where(near, 1.0, angle_rad)
-        seen = np.sin(t) / np.maximum(self.radius(t) * self.slope(t), 1e-300) * float(self._scaled.coef[1]) ** 2
-        return np.where(near, 1.0, seen)
+        solid = np.sin(t) / np.maximum(self.radius(t) * self.slope(t), 1e-300) * float(self._scaled.coef[1]) ** 2
+        return np.where(near, 1.0, solid)
 
     def finest_rad(self, corner: float) -> float:
         """Smallest angle that a width of the picture spans, along the radius or across it, out to a distance [widths]

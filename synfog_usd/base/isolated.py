@@ -46,19 +46,19 @@ def python() -> list[str]:
 
 def _flags() -> list[str]:
     """What -I would forget of how this Python was begun, as far as it is no place of code."""
-    found = ["-B"] * sys.dont_write_bytecode + ["-O"] * sys.flags.optimize
-    found += ["-u"] if os.environ.get("PYTHONUNBUFFERED") else []
-    found += [f"-Xutf8={sys.flags.utf8_mode}"] + ["-Xdev"] * sys.flags.dev_mode
-    return found + [f"-W{option}" for option in sys.warnoptions]
+    flags = ["-B"] * sys.dont_write_bytecode + ["-O"] * sys.flags.optimize
+    flags += ["-u"] if os.environ.get("PYTHONUNBUFFERED") else []
+    flags += [f"-Xutf8={sys.flags.utf8_mode}"] + ["-Xdev"] * sys.flags.dev_mode
+    return flags + [f"-W{option}" for option in sys.warnoptions]
 
 
 def environment(**more: str) -> dict[str, str]:
     """Variables of a child: this process's, but for those by which it would load what is not ours, and more."""
-    found = {name: value for name, value in os.environ.items() if not FOREIGN.fullmatch(name)}
+    variables = {name: value for name, value in os.environ.items() if not FOREIGN.fullmatch(name)}
     for name in SEARCHED:
-        folders = [*filter(os.path.isabs, found.pop(name, "").split(os.pathsep))]
-        found |= {name: os.pathsep.join(folders)} if folders else {}
-    return {**found, **more}
+        folders = [*filter(os.path.isabs, variables.pop(name, "").split(os.pathsep))]
+        variables |= {name: os.pathsep.join(folders)} if folders else {}
+    return {**variables, **more}
 
 
 def forget_foreign() -> None:
@@ -67,11 +67,11 @@ def forget_foreign() -> None:
         del os.environ[name]
 
 
-def answer(arguments: Sequence[str], given: str) -> list[str]:
-    """The lines that another command line prints in a child process, which reads `given`; however it ends."""
+def answer(arguments: Sequence[str], text: str) -> list[str]:
+    """The lines that another command line prints in a child process, which reads `text`; however it ends."""
     done = subprocess.run(
         command("synfog_usd.cli.main", *arguments),
-        input=given,
+        input=text,
         env=environment(**{MARK: str(os.getpid())}),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -83,19 +83,19 @@ def answer(arguments: Sequence[str], given: str) -> list[str]:
 
 def _packages() -> list[str]:
     """Where our package lies, and the user's own packages where it is installed among them."""
-    own = Path(__file__).absolute().parents[2]
+    package = Path(__file__).absolute().parents[2]
     users = Path(site.getusersitepackages())
     installed = sys.prefix == sys.base_prefix and any(users.glob(f"{PROJECT}-*.dist-info"))
-    return [str(own), *([str(users)] if installed else [])]
+    return [str(package), *([str(users)] if installed else [])]
 
 
 def _begin() -> None:
     """In the child: `-m MODULE WORDS` as Python takes them."""
-    own, *others = _packages()
-    sys.path.insert(0, own)  # another copy of ours may be installed
+    package, *libraries = _packages()
+    sys.path.insert(0, package)  # another copy of ours may be installed
     __import__(PROJECT)
     del sys.path[0]
-    sys.path += [folder for folder in (own, *others) if folder not in sys.path]
+    sys.path += [folder for folder in (package, *libraries) if folder not in sys.path]
     if sys.platform == "win32":
         import ctypes
 

@@ -142,8 +142,8 @@ def fog_words(name: str) -> tuple[float, dict[str, str]] | None:
     """
     if (match := _FOG.fullmatch(name)) is None or float(match[1]) == 0.0:
         return None
-    said = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[2])
-    return float(match[1]), dict(said)
+    pairs = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[2])
+    return float(match[1]), dict(pairs)
 
 
 def check_visibility(name: str, metres: float) -> None:
@@ -198,12 +198,12 @@ def seconds_of(text: str, option: str = "--exposure") -> float:
     """
     above, slash, below = text.partition("/")
     try:
-        found = float(above) / (float(below) if slash else 1.0)
+        seconds = float(above) / (float(below) if slash else 1.0)
     except (ValueError, ZeroDivisionError):
-        found = math.nan
-    if not 0.0 < found < math.inf:
+        seconds = math.nan
+    if not 0.0 < seconds < math.inf:
         raise ParameterError(f"{option} {text}: it takes seconds above 0, as 1/200 or 0.005")
-    return found
+    return seconds
 
 
 def names_of(text: str | None, option: str) -> tuple[str, ...] | None:

@@ -88,13 +88,13 @@ def channel_spectra(channels: tuple[str, ...]) -> Array:
         lit = shapes * illuminant("D65")
         return lit / luminance_of(lit.sum(axis=0))
     centres = [band_centre_nm(name) for name in channels]
-    known = [centre for centre in centres if centre is not None]
-    if len(known) < 2 or len(known) < len(centres) or any(a >= b for a, b in itertools.pairwise(known)):
+    bands = [centre for centre in centres if centre is not None]
+    if len(bands) < 2 or len(bands) < len(centres) or any(a >= b for a, b in itertools.pairwise(bands)):
         raise ImageError(
             f"channels {', '.join(channels)} are neither R, G, B nor two or more rising bands such as "
             f"{band_name(550.0)}"
         )
-    centre = np.array(known)
+    centre = np.array(bands)
     middle = (centre[:-1] + centre[1:]) / 2
     edges = np.concatenate([[2 * centre[0] - middle[0]], middle, [2 * centre[-1] - middle[-1]]])
     below = np.clip(

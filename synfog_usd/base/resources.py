@@ -39,14 +39,14 @@ def named(path: Path, kind: str) -> Path:
     Raises:
         RecipeError, SetError, GraphError: no such file, and no such name; with those that there are.
     """
-    known = shipped(kind)
+    names = shipped(kind)
     if path.exists() and not path.is_dir():  # which may be a bake's, with the name of what it was made of
         return path
-    if str(path) in known:
-        return known[str(path)]
+    if str(path) in names:
+        return names[str(path)]
     raise _NAMED[kind][1](
         f"{path}: no such file, and no {kind} of this name ships; there are "
-        f"{', '.join(known)}.{did_you_mean(path.stem, known)}"
+        f"{', '.join(names)}.{did_you_mean(path.stem, names)}"
     )
 
 

@@ -350,10 +350,10 @@ def reflectance(name: str) -> Array:
         ParameterError: another name; says which exist.
     """
     if name not in TABLE:
-        known = (PAINT, *TABLE)
+        names = (PAINT, *TABLE)
         raise ParameterError(
-            f"there is no spectrum {name!r}; it can be {', '.join(known)}, or pairs (nm, "
-            f"reflectance).{did_you_mean(name, known)}"
+            f"there is no spectrum {name!r}; it can be {', '.join(names)}, or pairs (nm, "
+            f"reflectance).{did_you_mean(name, names)}"
         )
     return np.clip(TABLE[name].curve(WAVELENGTHS_NM), 0.0, 1.0)
 
@@ -376,11 +376,11 @@ def emission(name: str) -> Array:
         return np.asarray(colour.sd_single_led(peak, shape, half_spectral_width=half).values, dtype=np.float64)
     tables = colour.SDS_ILLUMINANTS
     if name not in tables:
-        known = (*ILLUMINANTS, *LEDS, *tables)
+        names = (*ILLUMINANTS, *LEDS, *tables)
         some = (*ILLUMINANTS, *LEDS, "HP1 to HP5", "LED-B1 to LED-B5", "FL1 to FL12")
         raise ParameterError(
             f"there is no light {name!r}; it can be {', '.join(some)} or another illuminant of the "
-            f"CIE.{did_you_mean(name, known)}"
+            f"CIE.{did_you_mean(name, names)}"
         )
     return np.interp(WAVELENGTHS_NM, tables[name].wavelengths, tables[name].values)
 
@@ -438,8 +438,8 @@ def brightness(rgb: npt.ArrayLike) -> float:
 
 def scaled(shape: Array, rgb: npt.ArrayLike) -> Array:
     """A reflectance of this shape that is as bright as a colour under D65, at most 1 anywhere."""
-    own = brightness(rgb_of(shape))
-    return np.minimum(shape * (brightness(rgb) / max(own, 1e-12)), 1.0)
+    luminance = brightness(rgb_of(shape))
+    return np.minimum(shape * (brightness(rgb) / max(luminance, 1e-12)), 1.0)
 
 
 @functools.lru_cache(maxsize=256)
@@ -501,11 +501,11 @@ def _solved(
         start: value of the flat parabola to begin with.
         reach_nm: wavelengths between which it is a parabola; it goes on as it ends.
     """
-    wanted = np.clip(np.asarray(rgb, dtype=np.float64), *_REACHED)
+    target = np.clip(np.asarray(rgb, dtype=np.float64), *_REACHED)
     x = (np.clip(WAVELENGTHS_NM, *reach_nm) - 580.0) / 200.0
     basis = np.stack([np.ones_like(x), x, x * x])
     c = np.array([start, 0.0, 0.0])
-    error = rgb_of(curve(c @ basis)[0]) - wanted
+    error = rgb_of(curve(c @ basis)[0]) - target
     for _ in range(200):
         if np.abs(error).max() < 1e-7:
             break
@@ -513,7 +513,7 @@ def _solved(
         step = np.linalg.solve(slope.T @ slope + 1e-12 * np.eye(3), slope.T @ error)
         for halving in range(20):  # a full step may overshoot
             tried = c - step * 0.5**halving
-            after = rgb_of(curve(tried @ basis)[0]) - wanted
+            after = rgb_of(curve(tried @ basis)[0]) - target
             if np.abs(after).sum() < np.abs(error).sum():
                 c, error = tried, after
                 break

@@ -225,12 +225,12 @@ def limits(*, cpu_s: float, wall_s: float) -> Iterator[None]:
             yield
         return
     spent = resource.getrusage(resource.RUSAGE_SELF)
-    wanted = [
+    pairs = [
         (resource.RLIMIT_CPU, int(spent.ru_utime + spent.ru_stime + cpu_s)),
         (resource.RLIMIT_CORE, 0),
     ]
     before = {}
-    for kind, most in wanted:
+    for kind, most in pairs:
         soft, hard = before[kind] = resource.getrlimit(kind)
         lower = [limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY]
         with contextlib.suppress(ValueError, OSError):  # macOS refuses less than is in use
@@ -283,18 +283,18 @@ def give_back() -> None:
 
 def free_memory() -> int:
     """Bytes that this machine has free or can free, within the limits of a container; 0 where nobody tells."""
-    found = []
+    amounts = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
-        found.append(1024 * int(rows.get("MemAvailable", "").split()[0]))
+        amounts.append(1024 * int(rows.get("MemAvailable", "").split()[0]))
     with contextlib.suppress(OSError, ValueError):
-        found.append(_free_in_container(Path("/sys/fs/cgroup")))
-    if not found:
+        amounts.append(_free_in_container(Path("/sys/fs/cgroup")))
+    if not amounts:
         with contextlib.suppress(ImportError):
             import psutil
 
-            found.append(int(psutil.virtual_memory().available))
-    return min(found, default=0)
+            amounts.append(int(psutil.virtual_memory().available))
+    return min(amounts, default=0)
 
 
 def _free_in_container(folder: Path) -> int:

@@ -58,18 +58,20 @@ def from_colour_science() -> dict[str, dict[str, Array]]:
         colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"],
         colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019,
     )
-    seen = {f"{axis}_bar": on_grid(observer.wavelengths, observer.values[:, index]) for index, axis in enumerate("xyz")}
+    observer_curves = {
+        f"{axis}_bar": on_grid(observer.wavelengths, observer.values[:, index]) for index, axis in enumerate("xyz")
+    }
     shapes = {
         f"basis_{letter}": on_grid(basis.wavelengths, basis.values[:, index]) for index, letter in enumerate("rgb")
     }
-    found = {STANDARD: {"wavelength_nm": GRID_NM, **lights, **seen, **shapes}}
+    tables = {STANDARD: {"wavelength_nm": GRID_NM, **lights, **observer_curves, **shapes}}
     for camera, name in CAMERAS.items():
         measured = colour.MSDS_CAMERA_SENSITIVITIES[camera]
-        found[name] = {
+        tables[name] = {
             "wavelength_nm": measured.wavelengths,
             **{letter: measured.values[:, index] for index, letter in enumerate("RGB")},
         }
-    return found
+    return tables
 
 
 def write(folder: Path) -> None:

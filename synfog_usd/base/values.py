@@ -15,15 +15,15 @@ from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError, did_you_mean
 
 
-def check_words(asked: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+def check_words(options: Mapping[str, Any], allowed: Mapping[str, Any]) -> None:
     """Refuse options that are not known.
 
     Raises:
         ParameterError: with those that are.
     """
-    for word in asked:
-        if word not in known:
-            raise ParameterError(f"no option {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}")
+    for word in options:
+        if word not in allowed:
+            raise ParameterError(f"no option {word!r}; it takes {', '.join(allowed)}.{did_you_mean(word, allowed)}")
 
 
 def path_of(value: Any, option: str) -> Path:
@@ -41,7 +41,7 @@ def names(value: Any, option: str) -> tuple[str, ...]:
     """Names from text with commas, or a list of text."""
     if isinstance(value, str):
         return numbers.names_of(value, option) or ()
-    if not isinstance(value, (list, tuple)) or not value or not all(isinstance(one, str) for one in value):
+    if not isinstance(value, (list, tuple)) or not value or not all(isinstance(name, str) for name in value):
         raise ParameterError(f"{option} {value!r}: it takes a name, or a list of names")
     return tuple(value)
 

@@ -54,14 +54,14 @@ def page() -> str:
     return "\n".join([HEAD, *contents, "", *sections]).rstrip("\n") + "\n"
 
 
-def _summary(found: Any) -> str:
-    return " ".join((inspect.getdoc(found) or "").split("\n\n")[0].split())
+def _summary(item: Any) -> str:
+    return " ".join((inspect.getdoc(item) or "").split("\n\n")[0].split())
 
 
 def _section(name: str) -> Iterator[str]:
-    found = getattr(synfog_usd, name)
-    yield from (f"## sf.{name}", "", "```text", f"sf.{name}{_signature(found)}", "```", "")
-    yield from _described(found)
+    item = getattr(synfog_usd, name)
+    yield from (f"## sf.{name}", "", "```text", f"sf.{name}{_signature(item)}", "```", "")
+    yield from _described(item)
     for given in GIVEN.get(name, ()):
         yield from (f"### {given.__name__}", "")
         yield from _described(given)
@@ -70,39 +70,41 @@ def _section(name: str) -> Iterator[str]:
             yield from (f"`{inner}{kind}`: {_summary(member)}", "")
 
 
-def _members(given: type) -> Iterator[tuple[str, Any]]:
-    for inner, member in vars(given).items():
+def _members(kind: type) -> Iterator[tuple[str, Any]]:
+    for inner, member in vars(kind).items():
         if not inner.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
             yield inner, member
 
 
-def _signature(found: Any) -> str:
+def _signature(function: Any) -> str:
     """Parameters and their defaults, without types, which the docstring tells."""
-    if inspect.isclass(found) and issubclass(found, Exception):
+    if inspect.isclass(function) and issubclass(function, Exception):
         return ""
     shown = []
     before: Any = None
-    for one in inspect.signature(found).parameters.values():
-        if one.name == "self":
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.name == "self":
             continue
-        if one.kind is one.KEYWORD_ONLY and before is not one.KEYWORD_ONLY:
+        if parameter.kind is parameter.KEYWORD_ONLY and before is not parameter.KEYWORD_ONLY:
             shown.append("*")
-        before = one.kind
-        default = "" if one.default is one.empty or callable(one.default) else f"={one.default!r}"
-        shown.append(f"{'**' if one.kind is one.VAR_KEYWORD else ''}{one.name}{default}")
+        before = parameter.kind
+        default = (
+            "" if parameter.default is parameter.empty or callable(parameter.default) else f"={parameter.default!r}"
+        )
+        shown.append(f"{'**' if parameter.kind is parameter.VAR_KEYWORD else ''}{parameter.name}{default}")
     return f"({', '.join(shown)})"
 
 
-def _described(found: Any) -> Iterator[str]:
+def _described(item: Any) -> Iterator[str]:
     """A docstring as paragraphs, and its sections as lists."""
-    title, kept = "", list[str]()
-    for line in [*(inspect.getdoc(found) or "").split("\n>>>")[0].splitlines(), "End:"]:
+    title, lines = "", list[str]()
+    for line in [*(inspect.getdoc(item) or "").split("\n>>>")[0].splitlines(), "End:"]:
         heading = line.removesuffix(":")
         if line.endswith(":") and heading in (*SECTIONS, "End"):
-            yield from _text(title, kept)
-            title, kept = heading, []
+            yield from _text(title, lines)
+            title, lines = heading, []
         else:
-            kept.append(line)
+            lines.append(line)
 
 
 def _text(title: str, lines: list[str]) -> Iterator[str]:
@@ -116,13 +118,13 @@ def _text(title: str, lines: list[str]) -> Iterator[str]:
     items = re.split(r"\n(?=\S)", text)
     if title == "Raises":
         yield from (
-            "; ".join(f"Raises `{name}`: {_plain(what)}" for name, _, what in (one.partition(": ") for one in items)),
+            "; ".join(f"Raises `{name}`: {_plain(what)}" for name, _, what in (part.partition(": ") for part in items)),
             "",
         )
         return
     yield from ("| | |", "|---|---|")
-    for name, _, what in (one.partition(": ") for one in items):
-        quoted = ", ".join(f"`{one.strip()}`" for one in name.split(","))
+    for name, _, what in (part.partition(": ") for part in items):
+        quoted = ", ".join(f"`{part.strip()}`" for part in name.split(","))
         yield f"| {quoted} | {_cell(what)} |"
     yield ""
 

@@ -23,13 +23,13 @@ REMARKS = 5
 """How many remarks are printed; warnings all are."""
 
 
-def run(asked: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+def run(options: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
     """Bake as the command line asked for; raises `typer.Exit` where the code is not 0.
 
     Args:
-        asked: for `job_of`.
+        options: for `job_of`.
     """
-    job = job_of(**asked)  # what makes no sense is refused before a process is begun or anything is written
+    job = job_of(**options)  # what makes no sense is refused before a process is begun or anything is written
     plan = job.plan
     if not worker.is_worker():
         code = worker.run(sys.argv[1:])
@@ -41,24 +41,26 @@ def run(asked: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
         baked = make(job, progress=progress, log=log, reading=worker.reading_limits)
         if not quiet:
             _report(baked.notes, plan.stage, log)
-    found = baked.manifest
+    manifest = baked.manifest
     if as_json:
-        single = isinstance(found, dict) and "shots" in found
-        print(json.dumps({**found, "seconds": baked.seconds, "kept": baked.kept} if single else found, indent=2))
+        single = isinstance(manifest, dict) and "shots" in manifest
+        print(json.dumps({**manifest, "seconds": baked.seconds, "kept": baked.kept} if single else manifest, indent=2))
     elif not quiet:
-        print(_made(job, found))
+        print(_made(job, manifest))
 
 
-def _made(job: BakeJob, found: Any) -> str:
+def _made(job: BakeJob, manifest: Any) -> str:
     """What was made, in a line."""
     out = job.plan.out
     if job.codes is not None:
-        clips = [clip for one in (found if isinstance(found, list) else [found]) for clip in one["clips"]]
+        clips = [
+            clip for sequence in (manifest if isinstance(manifest, list) else [manifest]) for clip in sequence["clips"]
+        ]
         return f"{len(job.codes)} frames in {out}: {', '.join(clips)}"
-    if "cameras" in found:
-        sheets = ", ".join(str(out / row["folder"] / "contact.png") for row in found["cameras"])
-        return f"{len(found['cameras'])} cameras in {out}: look at {sheets}"
-    return f"{len(found['shots'])} shots in {out}: look at {out / 'contact.png'}"
+    if "cameras" in manifest:
+        sheets = ", ".join(str(out / row["folder"] / "contact.png") for row in manifest["cameras"])
+        return f"{len(manifest['cameras'])} cameras in {out}: look at {sheets}"
+    return f"{len(manifest['shots'])} shots in {out}: look at {out / 'contact.png'}"
 
 
 def _report(notes: Sequence[Note], stage: Path, log: Callable[[str], None]) -> None:
@@ -76,12 +78,12 @@ def _tidy(out: Path, code: int, stage: Path, *, frames: bool) -> None:
     kinds, finished = "shots", 0
     with contextlib.suppress(OSError, ValueError, KeyError):
         files.remove_leftovers(out)
-        made = [path for path in (out / "bake.json", *sorted(out.glob("*/bake.json"))) if path.is_file()]
-        finished = sum(len(json.loads(path.read_bytes())["shots"]) for path in made)
+        manifests = [path for path in (out / "bake.json", *sorted(out.glob("*/bake.json"))) if path.is_file()]
+        finished = sum(len(json.loads(path.read_bytes())["shots"]) for path in manifests)
     if frames:
         kinds, finished = "frames", sum(1 for _ in out.glob("[0-9]*/bake.json"))
-    kept = f"{finished} finished {kinds} are kept in {out}; the same command goes on from there"
+    ending = f"{finished} finished {kinds} are kept in {out}; the same command goes on from there"
     if code == worker.INTERRUPTED:
-        print(f"synfog-usd: stopped. {kept}", file=sys.stderr)
+        print(f"synfog-usd: stopped. {ending}", file=sys.stderr)
     else:
-        print(f"{worker.crash_line(code, stage, 'read and rendered it')}. {kept}", file=sys.stderr)
+        print(f"{worker.crash_line(code, stage, 'read and rendered it')}. {ending}", file=sys.stderr)

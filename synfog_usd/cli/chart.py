@@ -16,27 +16,27 @@ def run(plan: dict[str, Any], *, quiet: bool) -> None:
     from synfog_usd.lab.study import chart as study
     from synfog_usd.lab.study import page
 
-    made = study.ChartPlan(**plan)
-    if made.stage.is_dir():
+    sweep = study.ChartPlan(**plan)
+    if sweep.stage.is_dir():
         with shown(quiet) as (progress, _):
-            charts = study.suite(made, progress=progress)
+            charts = study.suite(sweep, progress=progress)
         if not quiet:
             for name, chart in charts.items():
                 _note(name, chart)
                 print(name)
                 for line in page.verdicts(name, chart.points):
                     print(f"  {line}")
-            print(f"look at {made.out / 'index.html'}")
+            print(f"look at {sweep.out / 'index.html'}")
         return
     with shown(quiet) as (progress, _):
-        chart = study.chart(made, progress=progress)
+        chart = study.chart(sweep, progress=progress)
     if quiet:
         return
-    _note(made.stage.name, chart)
+    _note(sweep.stage.name, chart)
     _table(chart)
-    for line in page.verdicts(made.stage.stem, chart.points):
+    for line in page.verdicts(sweep.stage.stem, chart.points):
         print(line)
-    print(f"look at {made.out / study.NAMES[-1]}")
+    print(f"look at {sweep.out / study.NAMES[-1]}")
 
 
 def _note(name: str, chart: Chart) -> None:

@@ -17,7 +17,7 @@ def export(
     out: Path, form: str, to: str | None, *, drop: str, classes: str, licence: str, quiet: bool, as_json: bool
 ) -> None:
     """Write a set in another format."""
-    one = exporter(form)
+    fmt = exporter(form)
     if drop not in DROPS:
         raise ParameterError(f"--drop {drop}: one of {', '.join(DROPS)}")
     words = [word.strip() for word in classes.split(",") if word.strip()]
@@ -25,10 +25,15 @@ def export(
     url = to if to is not None and run.is_url(to) else None
     target = Path(to) if to is not None and url is None else out.resolve().with_name(f"{out.resolve().name}-{form}")
     with shown(quiet) as (progress, _):
-        census = run.export(out, one, target, chosen=chosen, licence=licence, url=url, progress=progress)
+        census = run.export(out, fmt, target, chosen=chosen, licence=licence, url=url, progress=progress)
     if as_json:
-        told = {"folder": str(target), "pictures": census.pictures, "boxes": census.things, "dropped": census.dropped}
-        print(json.dumps(told, indent=2))
+        summary = {
+            "folder": str(target),
+            "pictures": census.pictures,
+            "boxes": census.things,
+            "dropped": census.dropped,
+        }
+        print(json.dumps(summary, indent=2))
     elif not quiet:
         print(
             f"{target}: {census.pictures} pictures, {census.things} boxes, {census.dropped} things without one; see "
@@ -53,9 +58,9 @@ def stats(out: Path, to: Path | None, *, quiet: bool, as_json: bool) -> None:
 
     target = to or out.resolve().with_name(f"{out.resolve().name}-stats.html")
     with shown(quiet) as (progress, _):
-        found = figures.gather(out, progress=progress)
-    figures.write(found, target, title=out.resolve().name)
+        counted = figures.gather(out, progress=progress)
+    figures.write(counted, target, title=out.resolve().name)
     if as_json:
-        print(json.dumps(found.metadata(), indent=2))
+        print(json.dumps(counted.metadata(), indent=2))
     elif not quiet:
-        print(f"{target}: {found.pictures} pictures of {len(found.scenes)} scenes")
+        print(f"{target}: {counted.pictures} pictures of {len(counted.scenes)} scenes")

@@ -207,19 +207,19 @@ def _depth_beside(path: Path) -> Image:
 def _viewed(image: Image, graph: NodeGraph, fov_x_deg: float | None) -> Image:
     """The image with a field of view, and a word where the lens that the graph names has another."""
     image = camera.field_of_view(image, graph, fov_x_deg=fov_x_deg)
-    lens, chip, seen = graph.profiles.get("lens"), graph.profiles.get("sensor"), image.provenance.get("fov_x_deg")
-    if not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile) or seen is None:
+    lens, chip, recorded = graph.profiles.get("lens"), graph.profiles.get("sensor"), image.provenance.get("fov_x_deg")
+    if not isinstance(lens, LensProfile) or not isinstance(chip, SensorProfile) or recorded is None:
         return image
-    own = camera.lens_fov_deg(lens, chip, image.width_px)
+    fov_deg = camera.lens_fov_deg(lens, chip, image.width_px)
     if "fov_from" in image.provenance:
         print(
-            f"field of view: {own:.4g} degrees, of {image.width_px} pixels behind {lens.name}; --fov says another",
+            f"field of view: {fov_deg:.4g} degrees, of {image.width_px} pixels behind {lens.name}; --fov says another",
             file=sys.stderr,
         )
-    elif abs(seen - own) > 0.02 * own:
+    elif abs(recorded - fov_deg) > 0.02 * fov_deg:
         print(
-            f"field of view: {seen:.4g} degrees, as {'the picture' if fov_x_deg is None else '--fov'} says; "
-            f"{image.width_px} pixels behind {lens.name} would see {own:.4g}",
+            f"field of view: {recorded:.4g} degrees, as {'the picture' if fov_x_deg is None else '--fov'} says; "
+            f"{image.width_px} pixels behind {lens.name} would see {fov_deg:.4g}",
             file=sys.stderr,
         )
     return image

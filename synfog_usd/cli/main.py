@@ -70,8 +70,8 @@ def bake(words: BakeWords) -> None:
     """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
     from synfog_usd.cli import bake as verb
 
-    asked = words.asked()
-    verb.run(asked, quiet=words.quiet, as_json=asked.pop("as_json"))
+    asked_for = words.asked()
+    verb.run(asked_for, quiet=words.quiet, as_json=asked_for.pop("as_json"))
 
 
 @dataclass(kw_only=True)
@@ -108,10 +108,15 @@ def preview(words: PreviewWords) -> None:
 
     if words.terminal not in ("auto", *KINDS):
         raise ParameterError(f"--terminal {words.terminal}: takes auto, {', '.join(KINDS)}")
-    asked = {**words.asked(), "out": words.out or Path("out") / "preview" / words.stage.stem, "bands": 3, "draft": True}
-    del asked["watch"], asked["terminal"]
+    asked_for = {
+        **words.asked(),
+        "out": words.out or Path("out") / "preview" / words.stage.stem,
+        "bands": 3,
+        "draft": True,
+    }
+    del asked_for["watch"], asked_for["terminal"]
     how = None if words.terminal == "auto" else words.terminal
-    verb.run(asked, watch=words.watch, how=how, quiet=words.quiet)  # type: ignore[arg-type]
+    verb.run(asked_for, watch=words.watch, how=how, quiet=words.quiet)  # type: ignore[arg-type]
 
 
 @app.command()
@@ -575,15 +580,15 @@ def asset_import(
         system.allow(system.PER_BYTE * file.stat().st_size if file.is_file() else 0)
         if file.suffix.lower() in LAYERS:
             open_stage(file, whole=True)  # counted, and with no file from elsewhere, before the importer unfolds it
-        made = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
-    model, (full, low) = made.model, made.triangles
+        imported = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
+    model, (full, low) = imported.model, imported.triangles
     if as_json:
         size = {
             "length_m": round(model.length, 4),
             "width_m": round(model.width, 4),
             "height_m": round(model.height, 4),
         }
-        told = {
+        summary = {
             "name": model.name,
             "class": model.label,
             "path": str(model.path),
@@ -591,9 +596,9 @@ def asset_import(
             "triangles": full,
             "triangles_low": low,
         }
-        print(json.dumps({**told, "notes": list(made.notes)}, indent=2))
+        print(json.dumps({**summary, "notes": list(imported.notes)}, indent=2))
         return
-    for note in made.notes:
+    for note in imported.notes:
         print(note)
     levels = f"{full} triangles" + (f", {low} from afar" if low else "")
     print(f"{model.path}: {model.label}, {model.length:.2f} x {model.width:.2f} x {model.height:.2f} m, {levels}")

@@ -89,11 +89,11 @@ def camera_presets() -> dict[str, dict[str, Any]]:
 
     graphs = [load_file(path).value for path in sorted(resources.folder("pipeline").glob("*.yaml"))]
     lens_of = {graph["sensor"].value: graph["lens"].value for graph in graphs if {"sensor", "lens"} <= graph.keys()}
-    found = {}
+    presets = {}
     for name in shipped("sensors"):
         sensor, lens = load_sensor(name), load_lens(lens_of.get(name, name))
         size = [round(pixels * sensor.pixel_pitch_um / 1000.0, 6) for pixels in (sensor.width_px, sensor.height_px)]
-        found[name] = {
+        presets[name] = {
             "title": sensor.title.partition(",")[0],
             "about": f"{sensor.title}: {size[0]:.2f} x {size[1]:.2f} mm, {lens.title}",
             "sensor_width_mm": size[0],
@@ -103,4 +103,4 @@ def camera_presets() -> dict[str, dict[str, Any]]:
             "width_px": sensor.width_px,
             "height_px": sensor.height_px,
         }
-    return found
+    return presets

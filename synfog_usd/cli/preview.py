@@ -38,15 +38,15 @@ def run(plan: dict[str, Any], *, watch: bool, how: terminal.Kind | None, quiet: 
         how: how the terminal draws; None asks it.
         quiet: print errors only.
     """
-    asked = plan_of(**plan)
+    bake_plan = plan_of(**plan)
     if not worker.is_worker():
-        raise typer.Exit(_waited_for(asked, watch))
+        raise typer.Exit(_waited_for(bake_plan, watch))
     worker.follow_parent()
     how = how or terminal.kind()
     while True:
-        before = _state(_made_of(asked)) if watch else {}
+        before = _state(_made_of(bake_plan)) if watch else {}
         try:
-            _once(asked, how, quiet)
+            _once(bake_plan, how, quiet)
         except SynfogError as error:
             if not watch:
                 raise
@@ -117,13 +117,13 @@ def _beside(stage: Path) -> list[Path]:
 
 def _state(paths: Iterable[Path]) -> State:
     """What of a file changes with each save, however an editor saves; zeros where it is not there."""
-    found: State = {}
+    state: State = {}
     for path in paths:
-        found[path] = (0, 0, 0)
+        state[path] = (0, 0, 0)
         with contextlib.suppress(OSError):
             status = path.stat()
-            found[path] = (status.st_mtime_ns, status.st_size, status.st_ino)
-    return found
+            state[path] = (status.st_mtime_ns, status.st_size, status.st_ino)
+    return state
 
 
 def _next_save(before: State) -> list[Path]:

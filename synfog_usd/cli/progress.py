@@ -59,7 +59,7 @@ def _plain_progress() -> Callable[[str, float], None]:
             return
         last[0] = now
         print(
-            f"{fraction:4.0%}  {what}  {now:.0f} s" + (f", {left}" if (left := _left(now, fraction)) else ""),
+            f"{fraction:4.0%}  {what}  {now:.0f} s" + (f", {remaining}" if (remaining := _left(now, fraction)) else ""),
             file=sys.stderr,
             flush=True,
         )

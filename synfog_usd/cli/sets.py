@@ -31,17 +31,17 @@ def plan(file: Path, *, as_json: bool) -> None:
     """Print what a set holds."""
     from synfog_usd.dataset.sets import cost
 
-    found = offers.known(load_set(file), offers.asked)
-    counted = cost.count(found)
+    definition = offers.known(load_set(file), offers.asked)
+    counted = cost.count(definition)
     if as_json:
         print(json.dumps(dataclasses.asdict(counted), indent=2))
     else:
-        _print_count(found, counted)
+        _print_count(definition, counted)
 
 
-def _print_count(found: SetDefinition, counted: Count) -> None:
+def _print_count(definition: SetDefinition, counted: Count) -> None:
     units = ", ".join(f"{number} in {lighting}" for lighting, number in counted.units.items())
-    print(f"{found.name}: {found.about}".removesuffix(": "))
+    print(f"{definition.name}: {definition.about}".removesuffix(": "))
     print(f"  scenes    {counted.scenes} ({', '.join(f'{number} {name}' for name, number in counted.splits.items())})")
     print(f"  drawn of  {', '.join(f'{number} {name}' for name, number in counted.sources.items())}")
     print(f"  units     {sum(counted.units.values())} of a scene and lighting: {units}")
@@ -90,26 +90,24 @@ def status(out: Path, *, watch: bool, as_json: bool) -> None:
 
     shown_last = None
     while True:
-        found = look(out)
-        told_now = json.dumps(dataclasses.asdict(found), indent=2) if as_json else _in_words(out, found)
+        now = look(out)
+        told_now = json.dumps(dataclasses.asdict(now), indent=2) if as_json else _in_words(out, now)
         if told_now != shown_last:
             print(told_now, flush=True)
             shown_last = told_now
-        if not watch or not found.running:
+        if not watch or not now.running:
             return
         time.sleep(WATCH_S)
 
 
-def _in_words(out: Path, found: Status) -> str:
-    share = f"{found.made} of {found.units} units ({found.made / found.units:.0%})"
-    parts = [share, f"{found.bytes / 1e9:.2f} GB"]
-    if found.left_s and found.made < found.units:
-        parts.append(f"{found.left_s / 3600:.2g} h of processor time left")
-    parts.append(
-        "a run works on it" if found.running else "complete" if found.made == found.units else "no run works on it"
-    )
-    lines = [f"{out}: {found.name}, {found.scenes} scenes, {found.shots} shots: {', '.join(parts)}"]
-    lines += [f"  {name} (seed {line['seed']}) is set aside: {line['error']}" for name, line in found.aside.items()]
+def _in_words(out: Path, now: Status) -> str:
+    share = f"{now.made} of {now.units} units ({now.made / now.units:.0%})"
+    parts = [share, f"{now.bytes / 1e9:.2f} GB"]
+    if now.left_s and now.made < now.units:
+        parts.append(f"{now.left_s / 3600:.2g} h of processor time left")
+    parts.append("a run works on it" if now.running else "complete" if now.made == now.units else "no run works on it")
+    lines = [f"{out}: {now.name}, {now.scenes} scenes, {now.shots} shots: {', '.join(parts)}"]
+    lines += [f"  {name} (seed {line['seed']}) is set aside: {line['error']}" for name, line in now.aside.items()]
     return "\n".join(lines)
 
 
@@ -124,16 +122,16 @@ def verify(out: Path, *, quiet: bool, as_json: bool) -> None:
     from synfog_usd.dataset.sets.verify import verify as look
 
     with shown(quiet) as (progress, log):
-        found = []
-        for one in look(out, progress=progress):
-            found.append(one)
+        faults = []
+        for fault in look(out, progress=progress):
+            faults.append(fault)
             if not as_json:
-                log(f"{out}: {one.unit}{': ' if one.unit else ''}{one.text}")
-    wrong = [one for one in found if not one.missing]
+                log(f"{out}: {fault.unit}{': ' if fault.unit else ''}{fault.text}")
+    wrong = [fault for fault in faults if not fault.missing]
     if as_json:
-        print(json.dumps([dataclasses.asdict(one) for one in found], indent=2))
+        print(json.dumps([dataclasses.asdict(fault) for fault in faults], indent=2))
     elif not quiet:
-        missing = len(found) - len(wrong)
+        missing = len(faults) - len(wrong)
         end = f", {missing} units are not made" if missing else ""
         print(f"{out}: {len(wrong) or 'nothing'} wrong{end}" + ("; run --repair mends it" if wrong else ""))
     raise typer.Exit(1 if wrong else 0)
@@ -150,10 +148,10 @@ def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, va
     from synfog_usd.render import backend
 
     def made() -> tuple[dict[str, Any], bool]:
-        found = journal.kept_definition(out)
-        identity.check(out, identity.identity(found, backend.choose(variant).variant))  # type: ignore[arg-type]
+        definition = journal.kept_definition(out)
+        identity.check(out, identity.identity(definition, backend.choose(variant).variant))  # type: ignore[arg-type]
         which = Unit(number, lighting, camera)
-        return make_unit(found, out, which, variant=variant, repair=repair, reading=worker.reading_limits)
+        return make_unit(definition, out, which, variant=variant, repair=repair, reading=worker.reading_limits)
 
     result, code = told(made)
     print(json.dumps(result))

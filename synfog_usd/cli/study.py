@@ -57,7 +57,7 @@ def asm(
             f"{did_you_mean(str(source), shipped())}"
         )
     with shown(quiet) as (progress, _):
-        found = scattering_model.study(source, limit=limit, progress=progress)
-    scattering_model.write(found, out)
+        study_result = scattering_model.study(source, limit=limit, progress=progress)
+    scattering_model.write(study_result, out)
     if not quiet:
-        print(scattering_model.markdown(found))
+        print(scattering_model.markdown(study_result))

@@ -131,7 +131,7 @@ def _libraries_unheard() -> contextlib.AbstractContextManager[None]:
 def unheard() -> Iterator[None]:
     """What libraries write to the standard error is lost meanwhile."""
     try:
-        kept = os.dup(2)
+        descriptor = os.dup(2)
     except OSError:  # it is closed: nobody hears anyway
         yield
         return
@@ -142,8 +142,8 @@ def unheard() -> Iterator[None]:
         yield
     finally:
         sys.excepthook = hook
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(descriptor, 2)
+        os.close(descriptor)
         os.close(nowhere)
 
 
