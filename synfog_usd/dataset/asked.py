@@ -38,15 +38,15 @@ def plan_of(stage: Any, out: Any = None, **asked: Any) -> BakePlan:
     stage = path_of(stage, "stage")
     out = Path("out") / stage.stem if out is None else path_of(out, "--out")
     check_words(asked, OPTIONS)
-    given = {word: value for word, value in asked.items() if value is not None}
-    found = {_ATTRIBUTE.get(word, word): OPTIONS[word](value, _option(word)) for word, value in given.items()}
-    return BakePlan(stage, out, **found)
+    values = {word: value for word, value in asked.items() if value is not None}
+    attributes = {_ATTRIBUTE.get(word, word): OPTIONS[word](value, _option(word)) for word, value in values.items()}
+    return BakePlan(stage, out, **attributes)
 
 
 def fog_names(value: Any, option: str = "--fog") -> tuple[str, ...]:
     """Names of fogs from a name, metres, a `Fog`, or several of them."""
     several = value if isinstance(value, (list, tuple)) else [value]
-    return tuple(name for one in several for name in _fog_name(one, option))
+    return tuple(name for item in several for name in _fog_name(item, option))
 
 
 def _fog_name(value: Any, option: str) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ def _size(value: Any, option: str) -> tuple[int, int] | None:
 
 def _folders(value: Any, option: str) -> tuple[Path, ...]:
     several = value if isinstance(value, (list, tuple)) else [value]
-    return tuple(path_of(one, option) for one in several)
+    return tuple(path_of(folder, option) for folder in several)
 
 
 def _quality(value: Any, option: str) -> Any:

@@ -100,10 +100,10 @@ def bake(
     if session is None:
         session = begin(plan, None if plan.camera is None else [plan.camera], reading)
         plan = replace(plan, camera=one_camera(session))
-    asked = replace(plan, rig=session.plan.rig)
+    whole = replace(plan, rig=session.plan.rig)
     scenes = session.scenes(plan.camera)
     with reading():
-        every = shots(asked, usd.variants(session.stage))
+        every = shots(whole, usd.variants(session.stage))
         plan = replace(session.of(plan.camera), out=plan.out)
         todo = tuple(shot for shot in every if lighting in (None, shot.lighting))
         scenes.survey(every if plan.strict else [shot for shot in todo if shot.lighting == todo[0].lighting])
@@ -112,16 +112,16 @@ def bake(
     if all(shot.asked is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
         log(_no_fog(plan, usd.variants(session.stage).get("fog", ())))
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metadata = metadata_of(asked, usd.stage_hash(session.stage), session.graph.hash, chosen.variant)
+    metadata = metadata_of(whole, usd.stage_hash(session.stage), session.graph.hash, chosen.variant)
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger = Ledger(plan.out, metadata, scenes.notes(todo))
         ledger.light = scenes.light
         unfinished = [shot for shot in todo if not ledger.done(shot)]
-        kept = tuple(shot.folder for shot in todo if shot not in unfinished)
-        if kept:
-            log(f"{len(kept)} of {len(todo)} shots are finished already: {', '.join(kept)}")
-        work = _Work(asked.camera, plan, session, ledger, every, unfinished, progress, log, reading)
+        finished = tuple(shot.folder for shot in todo if shot not in unfinished)
+        if finished:
+            log(f"{len(finished)} of {len(todo)} shots are finished already: {', '.join(finished)}")
+        work = _Work(whole.camera, plan, session, ledger, every, unfinished, progress, log, reading)
         work.do()
         with reading():
             scenes.survey(todo)
@@ -131,7 +131,7 @@ def bake(
             missing = [f"{note.path}: {note.text}" for note in notes if usd.MISSING in note.text]
             ledger.finish(every, contact.write(plan.out, every, ledger.rows, told=missing))
     progress("done", 1.0)
-    return Baked(ledger.manifest(todo), work.seconds, kept, notes)
+    return Baked(ledger.manifest(todo), work.seconds, finished, notes)
 
 
 def _refuse_warnings(plan: BakePlan, notes: Sequence[Note]) -> None:
@@ -273,11 +273,13 @@ class _Work:
             self._progress(f"labels: {what} {part:.0%}", done)
 
         self._progress("labels", done)
-        first, taken = self._first, self._scenes.taken
+        first, pinhole = self._first, self._scenes.taken
         loaded = self._session.renderer.within(replace(first, fog=()))
         pierced, view = aovs.pierced(loaded, progress=told), self._views.get(self._every[0].lighting)
-        seen = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
-        self._ledger.add_labels(_write_labels(seen, first, self._plan, self._session.graph, taken, pierced, loaded))
+        visible = view.seen if view and view.world is first.world else aovs.measure(loaded, progress=told)
+        self._ledger.add_labels(
+            _write_labels(visible, first, self._plan, self._session.graph, pinhole, pierced, loaded)
+        )
 
     def _finish(self, shot: Shot, picture: _Picture, began: float) -> None:
         row = _finish(picture(silent), self._session.graph, self._plan, self._specimen)
@@ -329,9 +331,9 @@ def is_metered(graph: Any, plan: BakePlan) -> bool:
 def clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str | None, SceneDict]:
     """What is metered for a shot, without fog, by camera: what its own sees, and the others that are exposed alike."""
     plan = session.plan
-    others = [one for one in plan.rig if one != camera] if plan.meter == TOGETHER else []
+    partners = [name for name in plan.rig if name != camera] if plan.meter == TOGETHER else []
     clear = cleared(session.stage, shot)
-    return {one: replace(session.scenes(one).of(clear), fog=()) for one in (camera, *others)}
+    return {name: replace(session.scenes(name).of(clear), fog=()) for name in (camera, *partners)}
 
 
 def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
@@ -365,22 +367,22 @@ def meter_view(
     from synfog_usd.scene import transmittance
 
     graph = session.graph
-    frame, *beside = [session.frame(lighting, one, scene) for one, scene in clear.items()]
+    frame, *side_frames = [session.frame(lighting, eye, scene) for eye, scene in clear.items()]
     scene = next(iter(clear.values()))
     loaded = session.renderer.loaded_for(scene, models.AUTO)
     ready()
-    wanted = camera.exposure_left_open(graph) or (plan.exposure_s, plan.iso) != (None, None)
-    exposure = camera.meter(frame, graph, beside=beside, compensation_ev=plan.ev) if wanted else None
+    needed = camera.exposure_left_open(graph) or (plan.exposure_s, plan.iso) != (None, None)
+    exposure = camera.meter(frame, graph, beside=side_frames, compensation_ev=plan.ev) if needed else None
     if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
         )
-    given = {"exposure_s": plan.exposure_s, "iso": plan.iso}
-    graphs = {path.stem: camera.exposed(camera.load_graph(path), **given) for path in plan.meter_for}
-    others = {
-        name: camera.meter(frame, other, beside=beside, compensation_ev=plan.ev)
-        for name, other in graphs.items()
-        if camera.exposure_left_open(other)
+    fixed = {"exposure_s": plan.exposure_s, "iso": plan.iso}
+    graphs = {path.stem: camera.exposed(camera.load_graph(path), **fixed) for path in plan.meter_for}
+    further = {
+        name: camera.meter(frame, other_graph, beside=side_frames, compensation_ev=plan.ev)
+        for name, other_graph in graphs.items()
+        if camera.exposure_left_open(other_graph)
     }
     pixel = camera.sensitivity(frame, graph, exposure) if exposure else None
     return _View(
@@ -390,7 +392,7 @@ def meter_view(
         aovs.measure(loaded),
         scene.world,
         transmittance.boxes_of(scene.world),
-        others,
+        further,
     )
 
 
@@ -425,9 +427,9 @@ _Picture = Callable[[Progress], ShotMade]
 """Makes the picture of a shot that was sampled."""
 
 
-def _same(made: ShotMade, progress: Progress) -> ShotMade:
+def _same(result: ShotMade, progress: Progress) -> ShotMade:
     """A picture that is made."""
-    return made
+    return result
 
 
 class _Behind:
@@ -463,7 +465,7 @@ def sample_shot(
     renderer: Renderer,
     view: _View | None,
     plan: BakePlan,
-    taken: Pinhole | None,
+    pinhole: Pinhole | None,
     exposures: Mapping[str, tuple[float, float]],
     progress: Progress,
 ) -> _Picture:
@@ -473,7 +475,7 @@ def sample_shot(
     from synfog_usd.render.shot import sample
     from synfog_usd.scene import transmittance
 
-    density = _density(scene, taken)
+    density = _density(scene, pinhole)
     floor = _shared(view.noise, density) if view and view.noise else None
     looked_at = view if view and view.world is scene.world else None
     through = transmittance.of_instances(scene, looked_at and looked_at.parts)
@@ -482,35 +484,35 @@ def sample_shot(
     settings = _settings(plan, floor, density, seed32(plan.seed, shot.lighting, shot.fog))
     clear = looked_at.seen if looked_at and not loaded.boundaries and not scene.camera.width_m else None
     share = 1.0 / (1 + len(moving))
-    told = within(progress, 0.0, share)
-    rendered = sample(scene, settings, loaded=loaded, clear=clear, progress=told)
+    part_progress = within(progress, 0.0, share)
+    rendered = sample(scene, settings, loaded=loaded, clear=clear, progress=part_progress)
     parts = {}
     for number, (name, part) in enumerate(moving.items(), 1):
         eye = replace(scene.camera, exposes=part)
-        known = loaded.source
+        source = loaded.source
         parts[name] = sample(
             replace(scene, camera=eye),
             replace(settings, seed=seed32(settings.seed, name)),
-            loaded=replace(loaded, source=replace(known, camera=replace(known.camera, exposes=part))),
+            loaded=replace(loaded, source=replace(source, camera=replace(source.camera, exposes=part))),
             clear=clear,
             progress=within(progress, number * share, (number + 1) * share),
         )
 
     def picture(progress: Progress) -> ShotMade:
         whole = rendered.picture(within(progress, 0.0, share))
-        seen = {
+        visible = {
             name: part.picture(within(progress, number * share, (number + 1) * share)).radiance
             for number, (name, part) in enumerate(parts.items(), 1)
         }
-        seen = seen or dict.fromkeys(exposures, whole.radiance)
-        return ShotMade(shot, scene, view, taken, whole, floor, through, seen)
+        visible = visible or dict.fromkeys(exposures, whole.radiance)
+        return ShotMade(shot, scene, view, pinhole, whole, floor, through, visible)
 
     return picture
 
 
-def _density(scene: SceneDict, taken: Pinhole | None) -> float:
+def _density(scene: SceneDict, pinhole: Pinhole | None) -> float:
     """Rendered pixels side by side for one of the sensor."""
-    return pinhole_of(scene.camera).focal_px / taken.focal_px if taken else 1.0
+    return pinhole_of(scene.camera).focal_px / pinhole.focal_px if pinhole else 1.0
 
 
 def _settings(
@@ -520,15 +522,15 @@ def _settings(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings
 
-    quality, own = plan.promise, plan.target_error is None
-    error = quality.error if own else plan.target_error
+    quality, by_quality = plan.promise, plan.target_error is None
+    error = quality.error if by_quality else plan.target_error
     return Settings(
         model=plan.model,
         samples=max(2, round(plan.samples / density**2)),
         seed=seed,
         target_error=min(1.0, error * density) if error is not None else None,
-        target_mottle=quality.mottle if own else None,
-        sensor_sigma=sensor_target(floor) if floor and own and quality.sensor else None,
+        target_mottle=quality.mottle if by_quality else None,
+        sensor_sigma=sensor_target(floor) if floor and by_quality and quality.sensor else None,
         bands=plan.bands,
         denoise=quality.clean,
         draft=plan.draft,
@@ -536,15 +538,15 @@ def _settings(
     )
 
 
-def taken_with(made: ShotMade, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
+def taken_with(result: ShotMade, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """What a camera notes of a shot beside its light: what its graph reads from the image's provenance."""
     from synfog_usd.render.load import is_thin_lens
 
     more: dict[str, Any] = {}
-    if made.taken is not None:
-        more["view"] = [*made.taken[:3], *made.taken.shift]
-    if is_thin_lens(made.scene.camera):
-        more["sharp_at_m"] = made.scene.camera.focus_m
+    if result.taken is not None:
+        more["view"] = [*result.taken[:3], *result.taken.shift]
+    if is_thin_lens(result.scene.camera):
+        more["sharp_at_m"] = result.scene.camera.focus_m
     if specimen is not None:
         more["specimen"] = specimen
     if plan.ev:
@@ -560,37 +562,37 @@ def inputs_of(graph: Any, rendered: Rendered, radiance: Image, exposures: Mappin
     return {**whole, **exposures, **_groups_for(graph, rendered)}
 
 
-def _finish(made: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
+def _finish(result: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
     from synfog_usd import camera
     from synfog_usd.camera import writers
 
-    shot, rendered, folder = made.shot, made.rendered, plan.out / made.shot.folder
+    shot, rendered, folder = result.shot, result.rendered, plan.out / result.shot.folder
     marks = {
         "synfog:lighting": shot.lighting,
         "synfog:fog": shot.fog,
-        "synfog:mor_m": made.mor_m or 0.0,
+        "synfog:mor_m": result.mor_m or 0.0,
         "synfog:model": rendered.model,
     }
-    more = taken_with(made, plan, specimen)
+    more = taken_with(result, plan, specimen)
     radiance = rendered.radiance.with_metadata(**more)
-    exposures = {name: part.with_metadata(**more) for name, part in made.exposures.items()}
+    exposures = {name: part.with_metadata(**more) for name, part in result.exposures.items()}
     writers.write_exr(folder / "radiance.exr", radiance, attributes=marks)
     writers.write_exr(folder / "layers.exr", _layers(rendered), attributes=marks)
-    files.write_json(folder / "instances.json", labels.instance_list(made.clear, made.scene, _left(made, graph)))
+    files.write_json(folder / "instances.json", labels.instance_list(result.clear, result.scene, _left(result, graph)))
     for name, part in exposures.items():
         writers.write_exr(folder / f"{name}.exr", part, attributes=marks)
     results = camera.develop(
         graph,
         inputs_of(graph, rendered, radiance, exposures),
         seed=noise_seed(plan.seed, shot.lighting, shot.fog, same_noise=plan.same_noise),
-        exposure=made.view.exposure if made.view else None,
+        exposure=result.view.exposure if result.view else None,
         keep=list(graph.outputs.values()),
     )
     for name, node in graph.outputs.items():
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
     names = sorted([*OF_SHOT, *(f"{name}.exr" for name in exposures), *graph.outputs])
-    return _row(made, plan) | {"files": {name: files.sha256_of(folder / name) for name in names}}
+    return _row(result, plan) | {"files": {name: files.sha256_of(folder / name) for name in names}}
 
 
 def _layers(rendered: Rendered) -> list[Image]:
@@ -603,29 +605,29 @@ def _layers(rendered: Rendered) -> list[Image]:
         **{f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()},
     }
     channels = rendered.radiance.channels
-    found = [rendered.aovs.transmittance_image()]
-    found += [
+    images = [rendered.aovs.transmittance_image()]
+    images += [
         Image(pixels, tuple(f"{name}.{channel}" for channel in channels), Quantity.DATA)
         for name, pixels in named.items()
     ]
     if rendered.error is not None:
-        found.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
-    return found
+        images.append(Image(rendered.error[:, :, None], ("error.Y",), Quantity.DATA))
+    return images
 
 
-def _row(made: ShotMade, plan: BakePlan) -> dict[str, Any]:
+def _row(result: ShotMade, plan: BakePlan) -> dict[str, Any]:
     """What the manifest says of a shot, but for its files."""
-    shot, scene, view, taken, rendered = made.shot, made.scene, made.view, made.taken, made.rendered
+    shot, scene, view, pinhole, rendered = result.shot, result.scene, result.view, result.taken, result.rendered
     size = [scene.camera.width_px, scene.camera.height_px]
     row: dict[str, Any] = {
         "lighting": shot.lighting,
         "fog": shot.fog,
         "folder": shot.folder,
-        "mor_m": None if made.mor_m is None else round(made.mor_m, 6),
+        "mor_m": None if result.mor_m is None else round(result.mor_m, 6),
         "camera": scene.camera.path,
-        "size_px": [taken.width_px, taken.height_px] if taken else size,
+        "size_px": [pinhole.width_px, pinhole.height_px] if pinhole else size,
     }
-    if taken:
+    if pinhole:
         row["rendered_px"] = size
     row |= {
         "model": {"name": rendered.model, "bands": len(rendered.radiance.channels), "why": rendered.why},
@@ -638,7 +640,7 @@ def _row(made: ShotMade, plan: BakePlan) -> dict[str, Any]:
     }
     if view and view.others:
         row["further_exposures"] = {
-            name: {"exposure_s": other.exposure_s, "iso": other.iso} for name, other in view.others.items()
+            name: {"exposure_s": exposure.exposure_s, "iso": exposure.iso} for name, exposure in view.others.items()
         }
     black = _why_black(rendered.radiance, scene)
     return row | {"warnings": [*rendered.warnings, *([black] if black else [])]}
@@ -656,23 +658,23 @@ def _metered_on(plan: BakePlan) -> dict[str, str]:
     return {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide{together}"}
 
 
-def _left(made: ShotMade, graph: Any) -> dict[int, dict[str, Any]]:
+def _left(result: ShotMade, graph: Any) -> dict[int, dict[str, Any]]:
     """What the fog leaves of each instance that is seen, by label id."""
     from synfog_usd import camera
     from synfog_usd.base import photometry
 
-    radiance, seen, noise = made.rendered.radiance, made.rendered.aovs, made.noise
+    radiance, visible, noise = result.rendered.radiance, result.rendered.aovs, result.noise
     luminance = photometry.luminance(radiance)
     if (
-        noise is None and not (made.view and made.view.exposure) and (luminance > 0.0).any()
+        noise is None and not (result.view and result.view.exposure) and (luminance > 0.0).any()
     ):  # the graph says itself how it exposes
         exposure = camera.Exposure(1.0, 1.0, float(luminance.mean()))
         pixel = camera.sensitivity(radiance, graph, exposure)
         if pixel:
-            noise = _shared(_noise(pixel), _density(made.scene, made.taken))
-    surface = made.rendered.components.get("surface")
+            noise = _shared(_noise(pixel), _density(result.scene, result.taken))
+    surface = result.rendered.components.get("surface")
     unscattered = None if surface is None else photometry.luminance(radiance.with_pixels(surface))
-    return visibility.rows(seen.instance_id, seen.transmittance, luminance, unscattered, noise)
+    return visibility.rows(visible.instance_id, visible.transmittance, luminance, unscattered, noise)
 
 
 def _noise(pixel: tuple[float, float]) -> Callable[[np.ndarray], np.ndarray]:
@@ -704,30 +706,30 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
     to stay.
     """
     quality = plan.promise
-    found: dict[str, Any] = {}
+    target: dict[str, Any] = {}
     if plan.target_error is not None:
-        found = {"relative_error": plan.target_error}
+        target = {"relative_error": plan.target_error}
     elif quality.error is not None:
-        found = {"relative_error": quality.error, "mottle": quality.mottle}
+        target = {"relative_error": quality.error, "mottle": quality.mottle}
     elif not quality.sensor or pixel is None:
-        found = {"samples": plan.samples}
+        target = {"samples": plan.samples}
     if pixel is not None:
-        found["sensor"] = {
+        target["sensor"] = {
             "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),
             "dark_noise_e": float(f"{pixel[1]:.4g}"),
         }
         if quality.sensor and plan.target_error is None:
             whole = 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
-            found["sensor"] |= {"share": 1 / 3, "whole_share": whole}
-    return found | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
+            target["sensor"] |= {"share": 1 / 3, "whole_share": whole}
+    return target | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
 
 
 def _write_labels(
-    seen: Aovs,
+    visible: Aovs,
     scene: SceneDict,
     plan: BakePlan,
     graph: Any = None,
-    taken: Pinhole | None = None,
+    pinhole: Pinhole | None = None,
     pierced: tuple[np.ndarray, np.ndarray] | None = None,
     loaded: MitsubaScene | None = None,
 ) -> dict[str, str]:
@@ -740,29 +742,29 @@ def _write_labels(
 
     metadata: dict[str, Any] = {}
     nearest = None
-    bent = graph and distortion.of_graph(graph, pinhole_of(scene.camera), taken)
+    bent = graph and distortion.of_graph(graph, pinhole_of(scene.camera), pinhole)
     pair, disparity = stereo.pair_of(scene), None
     if pair and loaded and not bent:
-        disparity = stereo.planes(seen, pair, loaded)
-    area, bend = (lanes.ids(seen, scene) if scene.lanes else None), None
+        disparity = stereo.planes(visible, pair, loaded)
+    area, bend = (lanes.ids(visible, scene) if scene.lanes else None), None
     if bent:
         node, warp = bent
         nearest, bend = warp.nearest(), functools.partial(warp.bent, pinhole_of(scene.camera))
         area = None if area is None else area[nearest]
-        seen = labels.warped(seen, nearest)
+        visible = labels.warped(visible, nearest)
         metadata = {
             "warped": f"distortion of node {node!r}; radiance.exr and layers.exr are not",
             "camera_matrix_px": warp.camera_matrix(),
             "distortion_coefficients": list(warp.coefficients),
         }
-    image = labels.label_image(seen, scene.instances, area, disparity)
+    image = labels.label_image(visible, scene.instances, area, disparity)
     header = {
         name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
     }  # where Cryptomatte's readers look
     writers.write_exr(plan.out / "labels.exr", image.with_metadata(**metadata), attributes=header)
     more = {}
     if pierced is not None:
-        view = objects.Projection.of(scene.camera if taken is None else replace(scene.camera, **size_of(taken)))
+        view = objects.Projection.of(scene.camera if pinhole is None else replace(scene.camera, **size_of(pinhole)))
         more = objects.rows(scene, pierced, view, nearest)
         eye = view.metadata(scene.origin_m)
         if bent:
@@ -778,5 +780,5 @@ def _write_labels(
         metadata |= {"stereo": {"right": pair.right.path, "no_disparity": "the lens distorts: rows do not match"}}
     if area is not None:
         metadata |= {"lanes": lanes.rows(area, scene, bend)}
-    files.write_json(plan.out / "labels.json", labels.label_list(seen, scene.instances, more) | metadata)
+    files.write_json(plan.out / "labels.json", labels.label_list(visible, scene.instances, more) | metadata)
     return {name: files.sha256_of(plan.out / name) for name in ("labels.exr", "labels.json")}

@@ -63,7 +63,7 @@ class Checked:
     @property
     def errors(self) -> tuple[Finding, ...]:
         """Findings at which a bake would stop."""
-        return tuple(one for one in self.findings if one.severity == "error")
+        return tuple(finding for finding in self.findings if finding.severity == "error")
 
 
 def check(stage: str | os.PathLike[str], **options: Any) -> Checked:
@@ -80,10 +80,10 @@ def check(stage: str | os.PathLike[str], **options: Any) -> Checked:
     plan = plan_of(stage, **options)
     usd.reread()
     with reading_here():
-        found, notes, light = look(
+        findings, notes, light = look(
             plan.stage, allow=plan.allow, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up
         )
-    return Checked(plan.stage, tuple(found), tuple(notes), light)
+    return Checked(plan.stage, tuple(findings), tuple(notes), light)
 
 
 def look(
@@ -111,40 +111,45 @@ def look(
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     notes: dict[Note, None] = {}
     first = _placed(opened, usd.check(opened))
-    found = dict.fromkeys(first)
+    findings = dict.fromkeys(first)
     light: dict[str, str] = {}
     overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
-    known: Exchange | None = None
+    exchange: Exchange | None = None
     try:
         for lighting, chosen in _variants(opened):
             more = _placed(opened, rules.findings(opened)) if chosen else first
-            found |= dict.fromkeys(more)
-            if not any(one.rule == "no-fog" for one in more):
+            findings |= dict.fromkeys(more)
+            if not any(finding.rule == "no-fog" for finding in more):
                 in_fog.append(set(more))
             if usd.cameras(opened):
-                scene = known.within(opened) if known is not None and not lighting else None
+                scene = exchange.within(opened) if exchange is not None and not lighting else None
                 if scene is None:
-                    known = Exchange(opened, before=known, refusal=refusal)
-                    scene = known.scene
+                    exchange = Exchange(opened, before=exchange, refusal=refusal)
+                    scene = exchange.scene
                     light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
-                    why = None if any(one.rule == "no-light" for one in found) else why_black(scene)
+                    why = None if any(finding.rule == "no-light" for finding in findings) else why_black(scene)
                     if why is not None:  # and so in any fog
-                        found[rulebook.finding("black", scene.camera.path, why)] = None
+                        findings[rulebook.finding("black", scene.camera.path, why)] = None
                 notes |= dict.fromkeys(scene.notes)
                 overlaps = coincident(scene) if overlaps is None else overlaps  # lighting and fog move no faces
     except StageError as problem:
-        found[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = None
-    for one in (overlaps or [])[:MOST_OVERLAPS]:
-        where = ", ".join(f"{x:.2f}" for x in one.place)
-        text = f"{one.faces} pairs of its faces and those of {one.other} lie in one another, the first near ({where}) m"
-        found[rulebook.finding("coincident-faces", one.one, text)] = None
+        findings[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = (
+            None
+        )
+    for finding in (overlaps or [])[:MOST_OVERLAPS]:
+        where = ", ".join(f"{x:.2f}" for x in finding.place)
+        text = (
+            f"{finding.faces} pairs of its faces and those of {finding.other} lie in one another, the first near "
+            f"({where}) m"
+        )
+        findings[rulebook.finding("coincident-faces", finding.one, text)] = None
     if in_fog:  # one variant with fog, and one in which the camera is in it, are enough
         always = set.intersection(*in_fog)
-        found = {one: None for one in found if one.rule not in _OF_ALL_FOGS or one in always}
-    told = {(one.path, one.text) for one in found}
-    kept = [note for note in notes if (note.path, note.text) not in told]
-    return sorted(found, key=lambda one: GRAVEST_FIRST.index(one.severity)), kept, light
+        findings = {finding: None for finding in findings if finding.rule not in _OF_ALL_FOGS or finding in always}
+    texts = {(finding.path, finding.text) for finding in findings}
+    remaining = [note for note in notes if (note.path, note.text) not in texts]
+    return sorted(findings, key=lambda finding: GRAVEST_FIRST.index(finding.severity)), remaining, light
 
 
 def mended(
@@ -164,18 +169,18 @@ def mended(
     """
     opened = usd.open_stage(stage, allow=allow)
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
-    found: dict[Finding, None] = {}
+    findings: dict[Finding, None] = {}
     users: list[rules.RoadUser] = []
     changed = bool(choices) or metres_per_unit is not None or up is not None
     with contextlib.suppress(StageError):  # of a variant beyond a budget: the look that follows tells it
         for _, chosen in _variants(opened):
             changed |= chosen
             more, users = rules.fixable(opened)
-            found |= dict.fromkeys(_placed(opened, more))
+            findings |= dict.fromkeys(_placed(opened, more))
     if changed:
         opened = usd.open_stage(stage, allow=allow)
         users = rules.fixable(opened)[1]
-    return mend.write(opened, found, out, users=users, allow=allow)
+    return mend.write(opened, findings, out, users=users, allow=allow)
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
@@ -184,11 +189,11 @@ ahead.
 """
 
 
-def _placed(opened: Any, told: Iterable[Told]) -> list[Told]:
+def _placed(opened: Any, items: Iterable[Told]) -> list[Told]:
     """The same with the paths of prototypes, which nobody authored and whose numbers change with the variants, as those
     of their first instances.
     """
-    return [replace(one, path=usd.authored_path(opened, one.path)) for one in told]
+    return [replace(item, path=usd.authored_path(opened, item.path)) for item in items]
 
 
 def _variants(opened: Any) -> Iterator[tuple[str, bool]]:
@@ -201,15 +206,15 @@ def _variants(opened: Any) -> Iterator[tuple[str, bool]]:
         yield lighting or "", bool(names)
 
 
-def exit_code(found: Sequence[Finding], notes: Sequence[Note], *, strict: bool) -> int:
+def exit_code(findings: Sequence[Finding], notes: Sequence[Note], *, strict: bool) -> int:
     """2 where a bake would stop, 1 where `strict` and something is not as it was meant, else 0."""
-    severities = {one.severity for one in found} | {note.severity for note in notes}
+    severities = {finding.severity for finding in findings} | {note.severity for note in notes}
     return ERRORS if "error" in severities else WARNINGS_UNDER_STRICT if strict and "warning" in severities else CLEAN
 
 
 def as_json(
     stage: Path,
-    found: Sequence[Finding],
+    findings: Sequence[Finding],
     notes: Sequence[Note],
     code: int,
     light: Mapping[str, str] = NOTHING,
@@ -223,11 +228,19 @@ def as_json(
             "stage": str(stage),
             **({} if fixes is None else {"fixes": list(fixes)}),
             "exit_code": code,
-            "counts": {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST},
+            "counts": {
+                severity: sum(finding.severity == severity for finding in findings) for severity in GRAVEST_FIRST
+            },
             "light": dict(light),
             "findings": [
-                {"rule": one.rule, "severity": one.severity, "path": one.path, "text": one.text, "mend": dict(one.mend)}
-                for one in found
+                {
+                    "rule": finding.rule,
+                    "severity": finding.severity,
+                    "path": finding.path,
+                    "text": finding.text,
+                    "mend": dict(finding.mend),
+                }
+                for finding in findings
             ],
             "translation": [
                 {"severity": severity, "text": text, "prims": count, "paths": paths}
@@ -238,15 +251,15 @@ def as_json(
     )
 
 
-def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light: Mapping[str, str] = NOTHING) -> str:
+def as_text(stage: Path, findings: Sequence[Finding], notes: Sequence[Note], light: Mapping[str, str] = NOTHING) -> str:
     """Findings with, once a rule, what to do in which tool; then the table of what is simplified or left out."""
     lines, explained = [], set()
-    for one, more in _by_folder([(one, one.severity, one.rule, one.text) for one in found]):
-        text = one.text.removeprefix(one.path + ": ") if one.path else one.text
-        lines.append(f"{one.severity}: {_short(one.path) or stage}: {_short(text)}{more} [{one.rule}]")
-        if one.rule not in explained:
-            explained.add(one.rule)
-            lines += [f"    {tool}: {advice}" for tool, advice in one.mend.items()]
+    for finding, more in _by_folder([(finding, finding.severity, finding.rule, finding.text) for finding in findings]):
+        text = finding.text.removeprefix(finding.path + ": ") if finding.path else finding.text
+        lines.append(f"{finding.severity}: {_short(finding.path) or stage}: {_short(text)}{more} [{finding.rule}]")
+        if finding.rule not in explained:
+            explained.add(finding.rule)
+            lines += [f"    {tool}: {advice}" for tool, advice in finding.mend.items()]
     rows = sorted(_by_text(notes).items(), key=lambda row: GRAVEST_FIRST.index(row[0][0]))
     if rows:
         lines += [
@@ -262,7 +275,7 @@ def as_text(stage: Path, found: Sequence[Finding], notes: Sequence[Note], light:
         ]
         lines.append("")
     lines += [f"light ({lighting}): {text}" for lighting, text in light.items()]
-    counts = {severity: sum(one.severity == severity for one in found) for severity in GRAVEST_FIRST}
+    counts = {severity: sum(finding.severity == severity for finding in findings) for severity in GRAVEST_FIRST}
     lines.append(
         f"{stage}: {counts['error']} errors, {counts['warning']} warnings, {counts['info']} remarks; {len(rows)} "
         f"simplifications"
@@ -280,13 +293,13 @@ def _by_folder(lines: Sequence[tuple[Line, str, str, str]]) -> list[tuple[Line, 
     Args:
         lines: each with its severity, its rule or whatever else is to be told apart, and its text.
     """
-    kept: dict[object, list[Line]] = {}
+    groups: dict[object, list[Line]] = {}
     for number, (line, severity, rule, text) in enumerate(lines):
         lost = _LOST.match(text)
-        kept.setdefault((severity, rule, PurePosixPath(lost["file"]).parent) if lost else number, []).append(line)
+        groups.setdefault((severity, rule, PurePosixPath(lost["file"]).parent) if lost else number, []).append(line)
     return [
         (some[0], f" (and {len(some) - 1} more files of this folder)" if len(some) > 1 else "")
-        for some in kept.values()
+        for some in groups.values()
     ]
 
 

@@ -84,11 +84,11 @@ def _fitting(line: str, font: Any, width_px: int) -> str:
 
 
 def _caption(shot: Shot, row: Mapping[str, Any]) -> str:
-    seen = f"MOR {row['mor_m']:g} m" if row["mor_m"] else "clear air"
+    air = f"MOR {row['mor_m']:g} m" if row["mor_m"] else "clear air"
     exposed = ""
     if row["exposure"]:
         time_s = row["exposure"]["exposure_s"]
         exposed = (
             f"   {f'1/{1 / time_s:.0f}' if time_s < 0.3 else f'{time_s:.1f}'} s   ISO {row['exposure']['iso']:.0f}"
         )
-    return f"{shot.lighting} / {shot.fog}   {seen}{exposed}"
+    return f"{shot.lighting} / {shot.fog}   {air}{exposed}"

@@ -53,8 +53,8 @@ class Scene:
         notes: what the translation simplified or left out, by prim path.
     """
 
-    def __init__(self, session: Session, shot: Shot, asked: Mapping[str, Any]) -> None:
-        self._session, self._shot, self._asked = session, shot, dict(asked)
+    def __init__(self, session: Session, shot: Shot, options: Mapping[str, Any]) -> None:
+        self._session, self._shot, self._asked = session, shot, dict(options)
         self._metered: dict[int, dict[tuple[str, str | None], Image]] = {}  # by seed
         self._eye = session.plan.camera
         with reading_here():
@@ -78,9 +78,9 @@ class Scene:
             SynfogError: as `load` raises it.
         """
         plan = replace(self._session.plan, fog=_one_fog(fog), lighting=(self.lighting,))
-        other = Scene(self._session, _only_shot(plan, self._session), self._asked)
-        other._metered = self._metered
-        return other
+        foggy = Scene(self._session, _only_shot(plan, self._session), self._asked)
+        foggy._metered = self._metered
+        return foggy
 
     def _scene(self) -> SceneDict:
         return self._session.scenes(self._eye).of(self._shot)
@@ -89,8 +89,8 @@ class Scene:
         """What renders it as a plan wants it, and the plan of its own camera."""
         self._session.renderer.serve(plan)
         session = replace(self._session, plan=plan, frames={})
-        own = session.of(self._eye)
-        return replace(session, frames=self._metered.setdefault(own.seed, {})), own
+        eye_plan = session.of(self._eye)
+        return replace(session, frames=self._metered.setdefault(eye_plan.seed, {})), eye_plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +201,8 @@ def load(
     from synfog_usd.render import backend
 
     check_words(options, dict.fromkeys(OF_SCENE))
-    asked = {**options, "pipeline": pipeline, "resolution": resolution}
-    plan = plan_of(stage, **asked, lighting=AS_AUTHORED if lighting is None else _one(lighting, "--lighting"))
+    words = {**options, "pipeline": pipeline, "resolution": resolution}
+    plan = plan_of(stage, **words, lighting=AS_AUTHORED if lighting is None else _one(lighting, "--lighting"))
     plan = replace(plan, fog=_one_fog(fog))
     usd.reread()
     with reading_here():
@@ -210,7 +210,7 @@ def load(
         session = replace(session, plan=replace(session.plan, camera=one_camera(session)))
         shot = _only_shot(plan, session)
     backend.start(plan.variant)  # type: ignore[arg-type]
-    return Scene(session, shot, {"stage": stage, **asked})
+    return Scene(session, shot, {"stage": stage, **words})
 
 
 def render(
@@ -246,21 +246,23 @@ def render(
     if bake.is_metered(session.graph, plan):
         view = bake.meter_view(shot.lighting, clear, session, plan, lambda: None)
     metered = session.frame(shot.lighting, scene._eye, clear[scene._eye])
-    seen = view.seen if view and view.world is world.world else None
+    visible = view.seen if view and view.world is world.world else None
     moments = moments_of(session.graph)
     picture = bake.sample_shot(shot, world, renderer, view, plan, scenes.taken, moments, progress)
-    made = picture(silent)
-    if seen is None:
-        seen = aovs.measure(renderer.within(replace(world, fog=())))
-    image = made.rendered.radiance.with_metadata(**bake.taken_with(made, plan, session.specimen(scene._eye)))
+    result = picture(silent)
+    if visible is None:
+        visible = aovs.measure(renderer.within(replace(world, fog=())))
+    image = result.rendered.radiance.with_metadata(**bake.taken_with(result, plan, session.specimen(scene._eye)))
     noise = noise_seed(plan.seed, shot.lighting, shot.fog)
     progress("done", 1.0)
-    return _frame(label_image(seen, world.instances), Captured(image, made, metered, session.graph, noise, plan.ev))
+    return _frame(
+        label_image(visible, world.instances), Captured(image, result, metered, session.graph, noise, plan.ev)
+    )
 
 
-def _frame(labels: Image, taken: Captured) -> Frame:
+def _frame(labels: Image, captured: Captured) -> Frame:
     planes = dict(zip(labels.channels, np.moveaxis(labels.pixels, 2, 0), strict=True))
-    rendered = taken.made.rendered
+    rendered = captured.made.rendered
     groups = {f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}
     assert rendered.radiance.variance is not None
     return Frame(
@@ -274,24 +276,24 @@ def _frame(labels: Image, taken: Captured) -> Frame:
         error=None if rendered.error is None else rendered.error.astype(np.float32),
         variance=rendered.radiance.variance,
         layers={**rendered.components, **groups},
-        instances=taken.made.scene.instances,
+        instances=captured.made.scene.instances,
         warnings=rendered.warnings,
-        _taken=taken,
+        _taken=captured,
     )
 
 
 def _one(value: Any, option: str) -> str:
-    found = names(value, option)
-    if len(found) != 1:
+    several = names(value, option)
+    if len(several) != 1:
         raise ParameterError(f"{option} {value!r}: load takes one; bake takes several")
-    return found[0]
+    return several[0]
 
 
 def _one_fog(fog: Any) -> tuple[str, ...]:
-    found = (AS_AUTHORED,) if fog is None else fog_names(fog)
-    if len(found) != 1:
+    several = (AS_AUTHORED,) if fog is None else fog_names(fog)
+    if len(several) != 1:
         raise ParameterError(f"--fog {fog!r}: a scene is in one fog; bake takes several")
-    return found
+    return several
 
 
 def _only_shot(plan: BakePlan, session: Session) -> Shot:

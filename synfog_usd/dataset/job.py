@@ -89,9 +89,9 @@ def run(
     more: dict[str, Any] = {"progress": progress, "log": log, "reading": reading}
     if job.codes is not None:
         plans = [job.plan] if job.cameras is None else apart(job.plan, job.cameras, reading=reading)
-        made = [bake_sequence(plan, job.codes, adaptation_s=job.adaptation_s, **more) for plan in plans]
-        told = [sequence for sequence, _ in made]
-        return replace(made[0][1], manifest=told[0] if len(told) == 1 else told)
+        results = [bake_sequence(plan, job.codes, adaptation_s=job.adaptation_s, **more) for plan in plans]
+        sequences = [sequence for sequence, _ in results]
+        return replace(results[0][1], manifest=sequences[0] if len(sequences) == 1 else sequences)
     if job.cameras is None:
         return one.bake(job.plan, **more)
     rig, baked = bake_cameras(job.plan, job.cameras, **more)

@@ -51,7 +51,7 @@ def told(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance
     if len(instances) <= MOST_TOLD:
         return instances
     some = set(distinct(np.concatenate([np.ravel(ids) for ids in met])).tolist())
-    return tuple(one for one in instances if one.id in some)
+    return tuple(instance for instance in instances if instance.id in some)
 
 
 def warped(aovs: Aovs, nearest: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Aovs:
@@ -148,10 +148,10 @@ def label_list(
         window = boxes[instance.id - 1] if instance.id <= len(boxes) else None
         row["pixels"] = 0
         if window is not None:
-            seen = aovs.instance_id[window] == instance.id
-            row["pixels"] = int(seen.sum())
-            row["box_px"] = [window[1].start, window[0].start, seen.shape[1], seen.shape[0]]
-            row["distance_m"] = round(float(aovs.distance_m[window][seen].min()), 3)
+            mask = aovs.instance_id[window] == instance.id
+            row["pixels"] = int(mask.sum())
+            row["box_px"] = [window[1].start, window[0].start, mask.shape[1], mask.shape[0]]
+            row["distance_m"] = round(float(aovs.distance_m[window][mask].min()), 3)
         more = (whole or {}).get(instance.id, {})
         if more.get("amodal_pixels"):
             row["visible_share"] = round(min(1.0, row["pixels"] / more["amodal_pixels"]), 4)
@@ -160,7 +160,7 @@ def label_list(
 
 
 def instance_list(
-    clear: Mapping[int, float], scene: SceneDict, seen: Mapping[int, Mapping[str, Any]] | None = None
+    clear: Mapping[int, float], scene: SceneDict, visibilities: Mapping[int, Mapping[str, Any]] | None = None
 ) -> dict[str, Any]:
     """What instances.json holds: how much fog stands before every instance of one shot.
 
@@ -170,17 +170,17 @@ def instance_list(
     Args:
         clear: label id -> transmittance, see `transmittance.of_instances`.
         scene: of the shot.
-        seen: label id -> what the fog leaves of an instance, see `visibility.rows`.
+        visibilities: label id -> what the fog leaves of an instance, see `visibility.rows`.
     """
     rows = []
-    for instance in told(scene.instances, list(seen or {})):
+    for instance in told(scene.instances, list(visibilities or {})):
         through = clear.get(instance.id)
         rows.append(
             {
                 "id": instance.id,
                 "path": instance.path,
                 "transmittance": None if through is None else float(f"{through:.4g}"),
-                **(seen or {}).get(instance.id, {}),
+                **(visibilities or {}).get(instance.id, {}),
             }
         )
     return {

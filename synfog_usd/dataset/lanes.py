@@ -32,18 +32,18 @@ Bend = Callable[[Array], Array]
 """(N, 2) places in the rendered picture -> places in the picture, both from its corner [px]."""
 
 
-def ids(seen: Aovs, scene: SceneDict) -> Indices:
+def ids(aov: Aovs, scene: SceneDict) -> Indices:
     """(H, W) number of the lane that a pixel lies in, 1 for the first of `scene.lanes`; 0 for none.  Where lanes cross,
     the first has it.
 
     Args:
-        seen: through the scene's own camera.
+        aov: through the scene's own camera.
         scene: with lanes.
     """
-    found = np.zeros(seen.instance_id.shape, dtype=np.int64)
-    ground = np.array([False, *(one.label in GROUND for one in scene.instances)])[seen.instance_id]
-    ground &= np.isfinite(seen.depth_m)
-    places, of = _places(seen, scene, ground), np.zeros(int(ground.sum()), dtype=np.int64)
+    lane_ids = np.zeros(aov.instance_id.shape, dtype=np.int64)
+    ground = np.array([False, *(instance.label in GROUND for instance in scene.instances)])[aov.instance_id]
+    ground &= np.isfinite(aov.depth_m)
+    places, of = _places(aov, scene, ground), np.zeros(int(ground.sum()), dtype=np.int64)
     for number, lane in enumerate(scene.lanes, 1):
         free = np.flatnonzero(of == 0)
         inside = free[shapely.contains_xy(_area(lane), *places[free, :2].T)]
@@ -51,8 +51,8 @@ def ids(seen: Aovs, scene: SceneDict) -> Indices:
             edges = np.concatenate([_fine(lane.left), _fine(lane.right)])
             near = edges[cKDTree(edges[:, :2]).query(places[inside, :2])[1], 2]
             of[inside[np.abs(places[inside, 2] - near) < OFF_M]] = number
-    found[ground] = of
-    return found
+    lane_ids[ground] = of
+    return lane_ids
 
 
 def rows(plane: Indices, scene: SceneDict, bend: Bend | None = None) -> list[dict[str, Any]]:
@@ -65,7 +65,7 @@ def rows(plane: Indices, scene: SceneDict, bend: Bend | None = None) -> list[dic
     """
     view = Projection.of(scene.camera)
     eye, origin = shapely.Point(scene.camera.to_world[:2, 3]), np.asarray(scene.origin_m)
-    found = []
+    lines = []
     for number, lane in enumerate(scene.lanes, 1):
         row: dict[str, Any] = {"id": number, "path": lane.path, "type": lane.type, "drivable": lane.type in DRIVABLE}
         row["ego"] = bool(_area(lane).contains(eye))
@@ -76,8 +76,8 @@ def rows(plane: Indices, scene: SceneDict, bend: Bend | None = None) -> list[dic
         for side, points in (("left", lane.left), ("right", lane.right)):
             row[f"{side}_world_m"] = np.round(points + origin, 3).tolist()
             row[f"{side}_px"] = [np.round(piece, 2).tolist() for piece in _drawn(points, view, plane.shape[::-1], bend)]
-        found.append(row)
-    return found
+        lines.append(row)
+    return lines
 
 
 def _area(lane: Lanelet) -> shapely.Polygon:
@@ -85,15 +85,15 @@ def _area(lane: Lanelet) -> shapely.Polygon:
     return area if area.is_valid else area.buffer(0.0)
 
 
-def _places(seen: Aovs, scene: SceneDict, where: Any) -> Array:
+def _places(aov: Aovs, scene: SceneDict, where: Any) -> Array:
     """(N, 3) what some pixels see, in the scene [m]."""
     view = Projection.of(scene.camera)
     row, column = np.nonzero(where)
     if scene.camera.fisheye is not None:
         size = np.array([view.width_px, view.height_px])
         ways = scene.camera.directions((np.c_[column, row] + 0.5) / size)
-        return np.asarray(ways * seen.distance_m[where][:, None] + scene.camera.to_world[:3, 3])
-    depth = seen.depth_m[where].astype(np.float64)
+        return np.asarray(ways * aov.distance_m[where][:, None] + scene.camera.to_world[:3, 3])
+    depth = aov.depth_m[where].astype(np.float64)
     across = (np.c_[column, row] + 0.5 - np.array(view.axis_px)) / view.scale_px
     if not scene.camera.width_m:
         across = across * depth[:, None]
@@ -103,8 +103,8 @@ def _places(seen: Aovs, scene: SceneDict, where: Any) -> Array:
 def _drawn(points: Array, view: Projection, size_px: tuple[int, ...], bend: Bend | None) -> list[Array]:
     """Pieces of an edge within the picture, each (N, 2)."""
     straight = bend is None and view.camera.fisheye is None
-    seen = _projected(points if straight else _fine(points), view)
-    pieces = [piece for line in seen for piece in _clipped(line, (view.width_px, view.height_px))]
+    projected = _projected(points if straight else _fine(points), view)
+    pieces = [piece for line in projected for piece in _clipped(line, (view.width_px, view.height_px))]
     if bend is None:
         return pieces
     return [piece for line in pieces for piece in _clipped(bend(line), size_px)]
@@ -118,18 +118,18 @@ def _projected(points: Array, view: Projection) -> list[Array]:
         runs = np.split(np.arange(len(local)), np.flatnonzero(np.diff(shown)) + 1)
         return [view.places_px(local[run]) for run in runs if shown[run[0]] and len(run) > 1]
     lines: list[list[Array]] = [[]]
-    for one, other in itertools.pairwise(local):
-        if max(one[2], other[2]) <= near:
+    for start, stop in itertools.pairwise(local):
+        if max(start[2], stop[2]) <= near:
             continue
-        begin, end = one, other
-        if min(one[2], other[2]) < near:
-            cut = one + (near - one[2]) / (other[2] - one[2]) * (other - one)
-            begin, end = (cut, other) if one[2] < near else (one, cut)
+        begin, end = start, stop
+        if min(start[2], stop[2]) < near:
+            cut = start + (near - start[2]) / (stop[2] - start[2]) * (stop - start)
+            begin, end = (cut, stop) if start[2] < near else (start, cut)
         if not lines[-1] or not np.array_equal(lines[-1][-1], begin):
             lines.append([begin])
         lines[-1].append(end)
-    found = [np.array(line) for line in lines if line]
-    return [view.places_px(line) for line in found]
+    pieces = [np.array(line) for line in lines if line]
+    return [view.places_px(line) for line in pieces]
 
 
 def _clipped(line: Array, size_px: tuple[int, ...]) -> list[Array]:

@@ -137,7 +137,7 @@ class Ledger:
                 for row in self._earlier.get("shots", ())
             ]
             rows = [row for row in rows if any(self._own(f"{row['folder']}/{name}") for name in row["files"])]
-            beside = [*self._earlier.get("labels", ()), *self._earlier.get("contact", ())]
+            shared = [*self._earlier.get("labels", ()), *self._earlier.get("contact", ())]
         except (KeyError, TypeError, AttributeError):
             return ""
         if not rows:
@@ -148,7 +148,7 @@ class Ledger:
             if not ((folder := self.out / f"{EARLIER}-{number}") / MANIFEST).exists()
         )
         try:
-            for name in [*beside, *(f"{row['folder']}/{name}" for row in rows for name in row["files"])]:
+            for name in [*shared, *(f"{row['folder']}/{name}" for row in rows for name in row["files"])]:
                 if path := self._own(name):
                     (target / name).parent.mkdir(parents=True, exist_ok=True)
                     path.replace(target / name)
@@ -194,8 +194,8 @@ class Ledger:
         began = time.monotonic()
         if began >= self._next_s:
             files.write_json(self.out / MANIFEST, self.manifest(()))
-            ended = time.monotonic()
-            self._next_s = ended + SELDOM * (ended - began) if len(self.rows) > MANY else 0.0
+            now = time.monotonic()
+            self._next_s = now + SELDOM * (now - began) if len(self.rows) > MANY else 0.0
 
     def finish(self, order: tuple[Shot, ...], contact_hashes: dict[str, str]) -> None:
         """Write all shots in their order, and the contact sheet."""

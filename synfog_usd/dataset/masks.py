@@ -69,5 +69,5 @@ def decode(text: str, height: int, width: int) -> Flags:
         value, shift = 0, 0
     if min(runs, default=0) < 0 or sum(runs) != height * width or shift:
         raise ValueError(f"the runs of a mask make {sum(runs)} pixels, not {height} x {width}")
-    ones: npt.NDArray[np.bool_] = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
-    return ones.reshape(width, height).T
+    inside: npt.NDArray[np.bool_] = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return inside.reshape(width, height).T

@@ -39,31 +39,31 @@ class Solid:
     edges: Indices
 
 
-def solids(scene: SceneDict, told: Collection[int] | None = None) -> dict[int, Solid]:
+def solids(scene: SceneDict, chosen: Collection[int] | None = None) -> dict[int, Solid]:
     """The geometry of each instance, by label id; of meshes and spheres.
 
     Args:
         scene: that they stand in.
-        told: label ids that are asked for; all without.
+        chosen: label ids that are asked for; all without.
     """
     prototypes: dict[tuple[str, str], Solid] = {}
-    found: dict[int, list[Solid]] = {}
+    by_id: dict[int, list[Solid]] = {}
     for (key, *inner), instance in scene.instance_of.items():
         part = scene.world.get(key)
-        if part is None or (told is not None and instance not in told):
+        if part is None or (chosen is not None and instance not in chosen):
             continue
         if not inner:
             solid = _solid(part)
         else:
             group = prototype_of(part)
-            known = prototypes.get((group, inner[0]))
-            if known is None:
-                known = prototypes[group, inner[0]] = _hull(_solid(scene.world[group][inner[0]]))
+            prototype = prototypes.get((group, inner[0]))
+            if prototype is None:
+                prototype = prototypes[group, inner[0]] = _hull(_solid(scene.world[group][inner[0]]))
             matrix = np.asarray(part["to_world"], dtype=np.float64)
-            solid = Solid(known.points @ matrix[:3, :3].T + matrix[:3, 3], known.edges)
+            solid = Solid(prototype.points @ matrix[:3, :3].T + matrix[:3, 3], prototype.edges)
         if len(solid.points):
-            found.setdefault(instance, []).append(solid)
-    return {instance: _together(parts) for instance, parts in found.items()}
+            by_id.setdefault(instance, []).append(solid)
+    return {instance: _together(parts) for instance, parts in by_id.items()}
 
 
 def _solid(shape: Mapping[str, Any]) -> Solid:
@@ -161,11 +161,11 @@ class Projection:
             return self._curved_box_px(points, solid.edges)
         before = points[:, 2] >= near
         if not before.all():
-            one, other = points[solid.edges[:, 0]], points[solid.edges[:, 1]]
+            starts, ends = points[solid.edges[:, 0]], points[solid.edges[:, 1]]
             cut = before[solid.edges[:, 0]] != before[solid.edges[:, 1]]
-            one, other = one[cut], other[cut]
-            share = (near - one[:, 2]) / (other[:, 2] - one[:, 2])
-            points = np.concatenate([points[before], one + share[:, None] * (other - one)])
+            starts, ends = starts[cut], ends[cut]
+            share = (near - starts[:, 2]) / (ends[:, 2] - starts[:, 2])
+            points = np.concatenate([points[before], starts + share[:, None] * (ends - starts)])
         if not len(points):
             return None
         if not self.camera.width_m > 0.0:
@@ -191,11 +191,11 @@ class Projection:
 
     def truncation(self, box: tuple[float, float, float, float]) -> float:
         """Share of a box that lies outside of the picture [1]."""
-        left, top, right, bottom = box
-        inside = max(0.0, min(right, self.width_px) - max(left, 0.0)) * max(
+        low, top, right, bottom = box
+        inside = max(0.0, min(right, self.width_px) - max(low, 0.0)) * max(
             0.0, min(bottom, self.height_px) - max(top, 0.0)
         )
-        area = (right - left) * (bottom - top)
+        area = (right - low) * (bottom - top)
         return float(1.0 - inside / area) if area > 0.0 else 0.0
 
     def metadata(self, origin_m: tuple[float, float, float]) -> dict[str, Any]:
@@ -204,17 +204,17 @@ class Projection:
         pose[:3, :3] = self.rotation.T
         pose[:3, 3] = self.camera.to_world[:3, 3] + np.asarray(origin_m)
         centre = [self.axis_px[0] - 0.5, self.axis_px[1] - 0.5]
-        model, told = "pinhole", dict[str, Any]({"camera_matrix_px": _matrix(self.scale_px, centre)})
+        model, entries = "pinhole", dict[str, Any]({"camera_matrix_px": _matrix(self.scale_px, centre)})
         if self.camera.width_m > 0.0:
-            model, told = "orthographic", {"px_per_m": round(self.scale_px, 6), "axis_px": _rounded(centre, 6)}
+            model, entries = "orthographic", {"px_per_m": round(self.scale_px, 6), "axis_px": _rounded(centre, 6)}
         elif self.camera.fisheye is not None:
             polynomial = self.camera.fisheye.polynomial(self.width_px)
-            model, told = "fisheye", {"radius_px": _rounded(polynomial, 6), "axis_px": _rounded(centre, 6)}
+            model, entries = "fisheye", {"radius_px": _rounded(polynomial, 6), "axis_px": _rounded(centre, 6)}
         return {
             "path": self.camera.path,
             "model": model,
             "size_px": [self.width_px, self.height_px],
-            **told,
+            **entries,
             "distortion_coefficients": [],
             "camera_to_world": [_rounded(row, 9) for row in pose.tolist()],
             "axes": "camera: x right, y down, z forward; world: the stage in metres, Z up; pixels: the first one's "
@@ -247,8 +247,8 @@ def rows(
     """
     ids, pixels = pierced
     shape = (scene.camera.height_px, scene.camera.width_px)
-    instances, found = told(scene.instances, ids), {}
-    place = solids(scene, {one.id for one in instances})
+    instances, visible = told(scene.instances, ids), {}
+    place = solids(scene, {shown.id for shown in instances})
     for instance in instances:
         first, last = np.searchsorted(ids, [instance.id, instance.id + 1])
         row = _outline(pixels[first:last], shape, nearest)
@@ -262,8 +262,8 @@ def rows(
         if instance.velocity_m_s is not None:
             row["velocity_m_s"] = _rounded(instance.velocity_m_s, 4)
             row["speed_m_s"] = round(float(np.linalg.norm(instance.velocity_m_s)), 4)
-        found[instance.id] = row
-    return found
+        visible[instance.id] = row
+    return visible
 
 
 def _outline(pixels: Indices, shape: tuple[int, int], nearest: tuple[Indices, Indices] | None) -> dict[str, Any]:
@@ -287,14 +287,14 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
     """Pose of an instance, and the box around it along the axes of its prim."""
     from scipy.spatial.transform import Rotation
 
-    left, _, right = np.linalg.svd(frame[:3, :3])  # the rotation nearest to the prim's axes
-    turn = left @ right
+    u, _, right = np.linalg.svd(frame[:3, :3])  # the rotation nearest to the prim's axes
+    turn = u @ right
     if np.linalg.det(turn) < 0.0:
         turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
     local = (solid.points - frame[:3, 3]) @ turn
     low, high = extent(local)
     places = np.stack([frame[:3, 3], frame[:3, 3] + turn @ ((low + high) / 2.0)])
-    seen, world = view.local(places), places + np.asarray(origin_m)
+    from_eye, world = view.local(places), places + np.asarray(origin_m)
     to_world, to_camera = (
         Rotation.from_matrix(matrix).as_quat(canonical=True, scalar_first=True)
         for matrix in (turn, view.rotation @ turn)
@@ -303,13 +303,13 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
         "pose": {
             "world_m": _rounded(world[0], 4),
             "world_wxyz": _rounded(to_world, 6),
-            "camera_m": _rounded(seen[0], 4),
+            "camera_m": _rounded(from_eye[0], 4),
             "camera_wxyz": _rounded(to_camera, 6),
         },
         "box_3d": {
             "size_m": _rounded(high - low, 4),
             "centre_world_m": _rounded(world[1], 4),
-            "centre_camera_m": _rounded(seen[1], 4),
+            "centre_camera_m": _rounded(from_eye[1], 4),
         },
     }
 

@@ -90,8 +90,8 @@ class Photo:
         """
         path = path_of(path, "save")
         suffix = suffix_of(path.name)
-        alike = [name for name in self.outputs if suffix_of(name) == suffix]
-        name = path.name if path.name in alike else next(iter(alike), "")
+        same_kind = [name for name in self.outputs if suffix_of(name) == suffix]
+        name = path.name if path.name in same_kind else next(iter(same_kind), "")
         if name:
             image, options = self.outputs[name], self.graph.options_of(name)
         else:
@@ -100,8 +100,8 @@ class Photo:
         return writers.write_output(path.name, image, path.parent, options=options)
 
     def _of(self, quantity: Quantity) -> Image:
-        given = [*([self._linear] if self._linear and quantity is Quantity.LINEAR_RGB else []), *self.outputs.values()]
-        for image in given:
+        images = [*([self._linear] if self._linear and quantity is Quantity.LINEAR_RGB else []), *self.outputs.values()]
+        for image in images:
             if image.quantity is quantity:
                 return image
         raise GraphError(
@@ -141,27 +141,27 @@ def develop(
         SynfogError: with place and fix.
     """
     graph = _graph_of(light, camera)
-    given = {
+    fixed = {
         "exposure_s": None if exposure is None else seconds(exposure, "--exposure"),
         "iso": None if iso is None else number(iso, "--iso"),
     }
-    graph = cameras.exposed(graph.with_overrides(dict(change)) if change else graph, **given)
+    graph = cameras.exposed(graph.with_overrides(dict(change)) if change else graph, **fixed)
     frame = light if isinstance(light, Frame) else None
     if ev is None:
         ev = frame._taken.ev if frame else 0.0
     check_compensation(graph, number(ev, "--ev"))
     images = _inputs(light, graph, fov_x_deg)
     on = _inputs(meter, graph, fov_x_deg) if meter is not None and not isinstance(meter, Frame) else images
-    seen = meter if isinstance(meter, Frame) else frame if meter is None else None
-    if seen is not None:
-        metered = cameras.meter(seen._taken.clear, graph, compensation_ev=ev) if _open(graph) else None
+    metering_frame = meter if isinstance(meter, Frame) else frame if meter is None else None
+    if metering_frame is not None:
+        metered = cameras.meter(metering_frame._taken.clear, graph, compensation_ev=ev) if _open(graph) else None
     else:
         metered = cameras.metered(graph, on, compensation_ev=ev)
     if seed is None:
         seed = frame._taken.seed if frame else 0
     linear = _linear_node(graph)
-    kept = [*graph.outputs.values(), *([linear] if linear else [])]
-    results = cameras.develop(graph, images, seed=count(seed, "--seed"), exposure=metered, keep=kept)
+    names = [*graph.outputs.values(), *([linear] if linear else [])]
+    results = cameras.develop(graph, images, seed=count(seed, "--seed"), exposure=metered, keep=names)
     outputs = {name: results[node] for name, node in graph.outputs.items()}
     return Photo(outputs, metered, graph, results[linear] if linear else None)
 
@@ -177,8 +177,8 @@ def _open(graph: NodeGraph) -> bool:
 
 def _graph_of(light: Any, camera: Any) -> NodeGraph:
     if camera is None and isinstance(light, Frame):
-        found: NodeGraph = light._taken.graph
-        return found
+        graph: NodeGraph = light._taken.graph
+        return graph
     if isinstance(camera, NodeGraph):
         return camera
     if isinstance(camera, Mapping):
@@ -203,28 +203,28 @@ def _inputs(light: Any, graph: NodeGraph, fov_x_deg: float | None) -> dict[str, 
     for name in named:
         if name not in graph.inputs:
             raise GraphError(f"graph {graph.name!r} has no input {name!r}; it has {', '.join(graph.inputs)}")
-    found = {}
-    for name, one in named.items():
-        image = _image(one, graph.inputs[name].quantity or Quantity.RADIANCE, name)
+    images = {}
+    for name, source in named.items():
+        image = _image(source, graph.inputs[name].quantity or Quantity.RADIANCE, name)
         picture = image.quantity is not Quantity.DATA
-        found[name] = cameras.field_of_view(image, graph, fov_x_deg=fov_x_deg) if picture else image
-    return found
+        images[name] = cameras.field_of_view(image, graph, fov_x_deg=fov_x_deg) if picture else image
+    return images
 
 
 def _of_frame(frame: Frame, graph: NodeGraph) -> dict[str, Image]:
-    made, radiance = frame._taken.made, frame._taken.image
-    moves = bool(made.scene.camera.moves or made.scene.motion_of)
+    result, radiance = frame._taken.made, frame._taken.image
+    moves = bool(result.scene.camera.moves or result.scene.motion_of)
     exposures = {}
     for name in moments_of(graph):
-        if moves and name not in made.exposures:
+        if moves and name not in result.exposures:
             raise GraphError(
                 f"graph {graph.name!r} sees the exposure in parts, and things move in this frame; render it anew from "
                 f"load(..., pipeline={graph.name!r})"
             )
-        exposures[name] = radiance.with_pixels(made.exposures[name].pixels) if moves else radiance
-    found = bake.inputs_of(graph, made.rendered, radiance, exposures)
+        exposures[name] = radiance.with_pixels(result.exposures[name].pixels) if moves else radiance
+    inputs = bake.inputs_of(graph, result.rendered, radiance, exposures)
     depth = Image(frame.depth_m[:, :, None], ("depth.Z",), Quantity.DATA)
-    return found | {name: depth for name, port in graph.inputs.items() if port.quantity is Quantity.DATA}
+    return inputs | {name: depth for name, port in graph.inputs.items() if port.quantity is Quantity.DATA}
 
 
 def _image(light: Any, quantity: Quantity, name: str) -> Image:

@@ -224,28 +224,28 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
             f"{plan.stage}: {len(lights)} lightings in {len(fogs)} fogs are {len(lights) * len(fogs)} shots, and more "
             f"than {MOST_UNASKED} are made only where all are named: say which, as in {named}"
         )
-    found = []
+    result = []
     for lighting in lights:
         for fog in fogs:
             lit, offered = lighting in variants.get("lighting", ()), fog in variants.get("fog", ())
-            asked = None if offered else Fog.named(fog)
-            found.append(
-                Shot(lighting, fog, lighting if lit else None, fog if offered else None, asked, plan.by_lighting)
+            fog_asked = None if offered else Fog.named(fog)
+            result.append(
+                Shot(lighting, fog, lighting if lit else None, fog if offered else None, fog_asked, plan.by_lighting)
             )
     folders: dict[str, str] = {}
-    for shot in found:
+    for shot in result:
         if folders.setdefault(shot.folder.casefold(), shot.folder) != shot.folder:
             raise ParameterError(
                 f"{plan.stage}: {folders[shot.folder.casefold()]} and {shot.folder} differ by case alone, and on some "
                 f"systems lie in one folder; rename a variant, or bake them apart by --fog and --lighting"
             )
-    return tuple(found)
+    return tuple(result)
 
 
-def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> list[str]:
-    if asked is None:
+def _chosen(kind: str, names: Sequence[str] | None, offered: Sequence[str]) -> list[str]:
+    if names is None:
         return offered_names(offered)
-    for name in asked:
+    for name in names:
         if name in (*offered, AS_AUTHORED) or (kind == "fog" and visibility_of(name) is not None):
             continue
         allowed = ", ".join(offered) or f"no variant set {kind!r}"
@@ -254,7 +254,7 @@ def _chosen(kind: str, asked: Sequence[str] | None, offered: Sequence[str]) -> l
             f"--{kind} {name}: the stage has {allowed}; it also takes {AS_AUTHORED}, for what it has without a "
             f"choice{extra}.{did_you_mean(name, (*offered, AS_AUTHORED))}"
         )
-    return list(dict.fromkeys(asked))
+    return list(dict.fromkeys(names))
 
 
 def offered_names(variants: Sequence[str]) -> list[str]:
@@ -280,5 +280,5 @@ def visibility_of(name: str) -> float | None:
     """
     if name == CLEAR:
         return float("inf")
-    found = numbers.fog_words(name)
-    return found[0] if found else None
+    words = numbers.fog_words(name)
+    return words[0] if words else None

@@ -88,7 +88,7 @@ def apart(plan: BakePlan, names: Sequence[str], *, reading: Reading = contextlib
     if len(cameras) == 1:
         return [replace(plan, camera=cameras[0])]
     folders = folders_of(cameras)
-    return [replace(plan, camera=one, rig=tuple(cameras), out=plan.out / folders[one]) for one in cameras]
+    return [replace(plan, camera=path, rig=tuple(cameras), out=plan.out / folders[path]) for path in cameras]
 
 
 def folders_of(cameras: Sequence[str]) -> Mapping[str, str]:
@@ -102,10 +102,10 @@ def folders_of(cameras: Sequence[str]) -> Mapping[str, str]:
     """
     short = [camera.rpartition("/")[2] for camera in cameras]
     alone = len({name.casefold() for name in short}) == len(short)
-    found = {
+    folders = {
         camera: name if alone else camera.strip("/").replace("/", "_")
         for camera, name in zip(cameras, short, strict=True)
     }
-    if len({folder.casefold() for folder in found.values()}) < len(found):
+    if len({folder.casefold() for folder in folders.values()}) < len(folders):
         raise ParameterError(f"--camera {','.join(cameras)}: two would lie in one folder; bake them apart")
-    return found
+    return folders

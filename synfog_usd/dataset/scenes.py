@@ -62,13 +62,13 @@ class Scenes:
             self.lightings[shot.lighting] = Exchange(
                 self.stage, **choices, rig=plan.rig[1:], fog=shot.asked, before=before
             )
-        made = self.lightings[shot.lighting]
+        entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
-            self.light[shot.lighting] = outdoors(made.scene).sentence(plan.light_scale)
+            self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.light_scale)
         if fresh and plan.camera == first:
-            self.known[shot] = self.seen(made.scene)
+            self.known[shot] = self.seen(entry.scene)
             return self.known[shot]
-        scene = made.within(self.stage, fog=shot.asked, camera=plan.camera)
+        scene = entry.within(self.stage, fog=shot.asked, camera=plan.camera)
         if scene is None:
             return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.asked))
         self.known[shot] = self.seen(scene)
@@ -84,8 +84,8 @@ class Scenes:
         from synfog_usd.camera import distortion, fisheye
 
         if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
-            beside = tuple(replace(eye, fisheye=lens, fov_x_deg=lens.fov_x_deg) for eye in scene.beside)
-            return _through(replace(scene, beside=beside), lens)
+            neighbours = tuple(replace(eye, fisheye=lens, fov_x_deg=lens.fov_x_deg) for eye in scene.beside)
+            return _through(replace(scene, beside=neighbours), lens)
 
         def wider(eye: Camera) -> Camera:
             plane = self.graph is not None and not eye.width_m > 0.0
@@ -96,7 +96,7 @@ class Scenes:
         if eye is scene.camera:
             return scene
         self.taken = pinhole_of(scene.camera)
-        return replace(scene, camera=eye, beside=tuple(wider(one) for one in scene.beside))
+        return replace(scene, camera=eye, beside=tuple(wider(eye_beside) for eye_beside in scene.beside))
 
     def survey(self, todo: Sequence[Shot]) -> None:
         """Read every lighting once and every fog once, that were not read yet."""
@@ -110,27 +110,27 @@ class Scenes:
         """What the lightings and fogs of some shots had to report, as far as they were surveyed, and what of the
         camera is guessed.
         """
-        told = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
-        return tuple(dict.fromkeys([*told, *_guessed(self.graph)]))
+        all_notes = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
+        return tuple(dict.fromkeys([*all_notes, *_guessed(self.graph)]))
 
 
 def _guessed(graph: Any) -> list[Note]:
     from synfog_usd.base.notes import Note
     from synfog_usd.camera.profiles import guessed
 
-    told = {kind: guessed(profile) for kind, profile in (graph.profiles.items() if graph is not None else ())}
-    return [Note("info", "", f"{kind} {text}") for kind, text in told.items() if text]
+    guesses = {kind: guessed(profile) for kind, profile in (graph.profiles.items() if graph is not None else ())}
+    return [Note("info", "", f"{kind} {text}") for kind, text in guesses.items() if text]
 
 
 def _each_once(todo: Sequence[Shot]) -> list[Shot]:
     """The first shots of every lighting and of every fog."""
-    found, lightings, fogs = list[Shot](), set[str](), set[str]()
+    result, lightings, fogs = list[Shot](), set[str](), set[str]()
     for shot in todo:
         if shot.lighting not in lightings or shot.fog not in fogs:
-            found.append(shot)
+            result.append(shot)
             lightings.add(shot.lighting)
             fogs.add(shot.fog)
-    return found
+    return result
 
 
 def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
@@ -152,13 +152,13 @@ def _through(scene: SceneDict, lens: Fisheye) -> SceneDict:
     return replace(scene, camera=view, notes=(*scene.notes, sharp))
 
 
-def size_of(taken: Pinhole) -> dict[str, Any]:
+def size_of(pinhole: Pinhole) -> dict[str, Any]:
     """What of a camera a pinhole says."""
     return {
-        "height_px": taken.height_px,
-        "width_px": taken.width_px,
-        "fov_x_deg": taken.fov_x_deg,
-        "shift": (0.0 - taken.shift[0], 0.0 - taken.shift[1]),
+        "height_px": pinhole.height_px,
+        "width_px": pinhole.width_px,
+        "fov_x_deg": pinhole.fov_x_deg,
+        "shift": (0.0 - pinhole.shift[0], 0.0 - pinhole.shift[1]),
     }
 
 

@@ -140,9 +140,9 @@ def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:
 def _clip_files(out: Path) -> set[Path]:
     """Files of clips, in the folder of a sequence, that its `sequence.json` tells of; none where there is none."""
     try:
-        found = json.loads((out / SEQUENCE).read_bytes())
-        clips = [out / clip for clip in found["clips"]]
-        numbers = [int(row["number"]) for row in found["frames"]]
+        manifest = json.loads((out / SEQUENCE).read_bytes())
+        clips = [out / clip for clip in manifest["clips"]]
+        numbers = [int(row["number"]) for row in manifest["frames"]]
     except (OSError, ValueError, KeyError, TypeError):
         return set()
     inside = (out / CLIPS).resolve()
@@ -154,20 +154,20 @@ def _clip_files(out: Path) -> set[Path]:
     return {path for path in named if path.is_file() and path.resolve().is_relative_to(inside)}
 
 
-def _set_aside(out: Path, left: Collection[Path]) -> str:
+def _set_aside(out: Path, paths: Collection[Path]) -> str:
     """Move clips' files of an earlier bake of other frames to where they are mixed with no others; what was moved, in
     words.
 
     Raises:
         OutputError: a file cannot be moved.
     """
-    if not left:
+    if not paths:
         return ""
     target = next(
         folder for number in itertools.count(1) if not (folder := out / f"{EARLIER}-{number}" / CLIPS).exists()
     )
     try:
-        for path in sorted(left):
+        for path in sorted(paths):
             place = target / path.relative_to(out / CLIPS)
             place.parent.mkdir(parents=True, exist_ok=True)
             path.replace(place)
@@ -176,7 +176,7 @@ def _set_aside(out: Path, left: Collection[Path]) -> str:
                 path.parent.parent.rmdir()
     except OSError as error:
         raise OutputError(f"{target}: cannot be written ({error.strerror}); choose another output folder") from error
-    count = f"{len(left)} file{'s' * (len(left) > 1)}"
+    count = f"{len(paths)} file{'s' * (len(paths) > 1)}"
     return f"{count} of an earlier bake of other frames moved from {CLIPS} to {target}"
 
 

@@ -117,7 +117,7 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
     check_compensation(graph, plan.ev)
     with reading():
         stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
-        if plan.choices or any(one is not None for one in (plan.metres_per_unit, plan.up, plan.shutter_s)):
+        if plan.choices or any(value is not None for value in (plan.metres_per_unit, plan.up, plan.shutter_s)):
             usd.override(
                 stage,
                 choices=plan.choices,
@@ -125,17 +125,17 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
                 up=plan.up,
                 shutter_s=plan.shutter_s,
             )
-        own = own_camera(stage)
+        own_path = own_camera(stage)
         cameras: tuple[str | None, ...] = (None,) if names is None else usd.named_cameras(stage, names)
-        rig = usd.named_cameras(stage, [name or own or "" for name in plan.rig])
+        rig = usd.named_cameras(stage, [name or own_path or "" for name in plan.rig])
         if rig and names is None:
-            cameras = (own,)
-        plan = replace(plan, rig=rig or (tuple(one for one in cameras if one) if len(cameras) > 1 else ()))
+            cameras = (own_path,)
+        plan = replace(plan, rig=rig or (tuple(value for value in cameras if value) if len(cameras) > 1 else ()))
         if plan.max_distance_m is not None:
             usd.keep_near(stage, plan.max_distance_m, cameras=plan.rig or cameras, frame=plan.frame)
     session = Session(plan, graph, stage, cameras, Renderer(plan))
-    for one in (*cameras, *plan.rig):
-        session.scenes(one)  # before a shot chooses variants
+    for value in (*cameras, *plan.rig):
+        session.scenes(value)  # before a shot chooses variants
     return session
 
 

@@ -72,10 +72,10 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
     step = (plan.size[0] * len(plan.fogs) + GAP_PX, plan.size[1] + CAPTION_PX + GAP_PX)
     sheet = Image.new("RGB", (GAP_PX + step[0] * across, GAP_PX + step[1] * down), BACKGROUND)
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=11)
-    with tempfile.TemporaryDirectory(prefix="synfog-usd-") as made:
+    with tempfile.TemporaryDirectory(prefix="synfog-usd-") as scratch:
         for index, seed in enumerate(plan.seeds):
             recipe = plan.recipes[index % len(plan.recipes)]
-            stage, folder = Path(made) / "stage.usda", Path(made) / f"{index}"
+            stage, folder = Path(scratch) / "stage.usda", Path(scratch) / f"{index}"
             compose(recipe, stage, seed=seed, change=plan.changes)
 
             def told(what: str, fraction: float, index: int = index, seed: int = seed) -> None:
@@ -116,10 +116,10 @@ def recipes_of(path: Path) -> tuple[Path, ...]:
     """A recipe by its path or its name, or all of a folder."""
     if not path.is_dir():
         return (resources.named(path, "recipe"),)
-    found: Sequence[Path] = sorted(path.glob("*.yaml"))
-    if not found:
+    paths: Sequence[Path] = sorted(path.glob("*.yaml"))
+    if not paths:
         raise ParameterError(f"{path}: no recipe (.yaml) in this folder")
-    return tuple(found)
+    return tuple(paths)
 
 
 def seeds_of(text: str) -> tuple[int, ...]:

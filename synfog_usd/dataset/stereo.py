@@ -64,38 +64,42 @@ class RightEye:
 
 def pair_of(scene: SceneDict) -> RightEye | None:
     """The nearest camera of a scene's rig that is the right eye of the one that looks; None where none is."""
-    left, found = scene.camera, list[RightEye]()
+    eye, candidates = scene.camera, list[RightEye]()
     for right in scene.beside:
-        beside = left.to_world[:3, :3].T @ (right.to_world[:3, 3] - left.to_world[:3, 3])
-        if _same_lens(left, right) and beside[0] > 0.0 and np.abs(beside[1:]).max() <= APART * beside[0]:
-            focal = left.width_px / (2.0 * math.tan(math.radians(left.fov_x_deg) / 2.0))
-            found.append(RightEye(right, float(beside[0]), focal))
-    return min(found, key=lambda pair: pair.baseline_m, default=None)
+        offset = eye.to_world[:3, :3].T @ (right.to_world[:3, 3] - eye.to_world[:3, 3])
+        if _same_lens(eye, right) and offset[0] > 0.0 and np.abs(offset[1:]).max() <= APART * offset[0]:
+            focal = eye.width_px / (2.0 * math.tan(math.radians(eye.fov_x_deg) / 2.0))
+            candidates.append(RightEye(right, float(offset[0]), focal))
+    return min(candidates, key=lambda pair: pair.baseline_m, default=None)
 
 
-def _same_lens(one: Camera, other: Camera) -> bool:
+def _same_lens(camera: Camera, reference: Camera) -> bool:
     """Whether two cameras look the same way through the same pinhole."""
-    if not (one.plane and other.plane and (one.width_px, one.height_px) == (other.width_px, other.height_px)):
+    if not (
+        camera.plane
+        and reference.plane
+        and (camera.width_px, camera.height_px) == (reference.width_px, reference.height_px)
+    ):
         return False
-    numbers = [[eye.fov_x_deg, *eye.shift] for eye in (one, other)]
-    turned = float(np.abs(one.to_world[:3, :3] - other.to_world[:3, :3]).max())
-    return np.allclose(*numbers, rtol=1e-6, atol=1e-6) and turned <= TURNED_PX * one.pixel_rad
+    numbers = [[eye.fov_x_deg, *eye.shift] for eye in (camera, reference)]
+    turned = float(np.abs(camera.to_world[:3, :3] - reference.to_world[:3, :3]).max())
+    return np.allclose(*numbers, rtol=1e-6, atol=1e-6) and turned <= TURNED_PX * camera.pixel_rad
 
 
-def planes(seen: Aovs, pair: RightEye, loaded: MitsubaScene) -> npt.NDArray[np.float32]:
+def planes(aov: Aovs, pair: RightEye, loaded: MitsubaScene) -> npt.NDArray[np.float32]:
     """(H, W, 2) disparity [px], and whether the right camera sees the point; see `CHANNELS`.
 
     Args:
-        seen: what the left camera's pixels see.
+        aov: what the left camera's pixels see.
         pair: its right eye.
         loaded: the scene from the left camera.
     """
     from synfog_usd.render.film import aovs
 
-    height, width = seen.depth_m.shape
-    disparity = pair.disparity_px(seen.depth_m)
+    height, width = aov.depth_m.shape
+    disparity = pair.disparity_px(aov.depth_m)
     place = np.arange(width) + 0.5 - disparity
     outside = place < 0.0
-    free = aovs.reached(loaded, pair.right, seen.distance_m.ravel()).reshape(height, width)
-    told = np.where(outside, OUTSIDE, np.where(free, SEEN, HIDDEN))
-    return np.stack([disparity, told], axis=2).astype(np.float32)
+    free = aovs.reached(loaded, pair.right, aov.distance_m.ravel()).reshape(height, width)
+    codes = np.where(outside, OUTSIDE, np.where(free, SEEN, HIDDEN))
+    return np.stack([disparity, codes], axis=2).astype(np.float32)

@@ -75,44 +75,44 @@ def rows(
     """
     from scipy.ndimage import find_objects
 
-    found = {}
+    result = {}
     for number, window in enumerate(find_objects(ids), start=1):
         if window is None:
             continue
-        own = ids[window] == number
-        row: dict[str, Any] = {"mean_transmittance": _digits(float(transmittance[window][own].mean(dtype=np.float64)))}
-        width = max(2, round(RING * float(np.sqrt(own.sum()))))
+        mask = ids[window] == number
+        row: dict[str, Any] = {"mean_transmittance": _digits(float(transmittance[window][mask].mean(dtype=np.float64)))}
+        width = max(2, round(RING * float(np.sqrt(mask.sum()))))
         wide = tuple(slice(max(0, s.start - width), s.stop + width) for s in window)
-        own = ids[wide] == number
-        behind = _behind(own, luminance[wide], width)
+        mask = ids[wide] == number
+        behind = _behind(mask, luminance[wide], width)
         row |= _judged(
-            own, behind, luminance[wide], transmittance[wide], None if surface is None else surface[wide], noise
+            mask, behind, luminance[wide], transmittance[wide], None if surface is None else surface[wide], noise
         )
-        found[number] = row
-    return found
+        result[number] = row
+    return result
 
 
-def _behind(own: Flags, luminance: Array, width: int) -> Array | None:
+def _behind(mask: Flags, luminance: Array, width: int) -> Array | None:
     """The plane through the luminance of the surroundings, at the instance's pixels; None where there are none."""
     from scipy.ndimage import distance_transform_edt
 
-    around = ~own & (distance_transform_edt(~own) <= width)
+    around = ~mask & (distance_transform_edt(~mask) <= width)
     if not around.any():
         return None
     y, x = np.nonzero(around)
     light = luminance[around].astype(np.float64)
     middle = np.array([y.mean(), x.mean()])
     if len(light) < 12:
-        return np.full(int(own.sum()), light.mean())
+        return np.full(int(mask.sum()), light.mean())
     terms = np.c_[np.ones(len(light)), y - middle[0], x - middle[1]]
     plane = np.linalg.lstsq(terms, light, rcond=1e-6)[0]
-    y, x = np.nonzero(own)
+    y, x = np.nonzero(mask)
     values = np.c_[np.ones(len(y)), y - middle[0], x - middle[1]] @ plane
     return np.asarray(np.clip(values, light.min(), light.max()))
 
 
 def _judged(
-    own: Flags,
+    mask: Flags,
     behind: Array | None,
     luminance: Array,
     transmittance: Array,
@@ -121,17 +121,17 @@ def _judged(
 ) -> dict[str, Any]:
     if behind is None or not behind.mean() > 0.0:
         return {"contrast": None, "contrast_rms": None, "cnr": None, "visibility": None}
-    y, x = np.nonzero(own)
+    y, x = np.nonzero(mask)
     cell = (y - y.min()) * CELLS // (np.ptp(y) + 1) * CELLS + (x - x.min()) * CELLS // (np.ptp(x) + 1)
     count = np.bincount(cell, minlength=CELLS**2)
 
     def mean(values: Array) -> Array:
         return np.bincount(cell, values, minlength=CELLS**2) / np.maximum(count, 1)
 
-    light = luminance[own].astype(np.float64)
+    light = luminance[mask].astype(np.float64)
     level = mean(behind)
-    unscattered = mean(light if surface is None else np.maximum(surface[own].astype(np.float64), 0.0))
-    most = np.maximum(unscattered, mean(transmittance[own]) * level)
+    unscattered = mean(light if surface is None else np.maximum(surface[mask].astype(np.float64), 0.0))
+    most = np.maximum(unscattered, mean(transmittance[mask]) * level)
     signal = np.clip(mean(light) - level, -most, most)
     rms = float(np.sqrt((count * signal**2).sum() / count.sum()) / behind.mean())
     cnr = None

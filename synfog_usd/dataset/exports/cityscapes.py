@@ -86,16 +86,16 @@ def write_ground_truth(folder: ExportFolder, stem: str, labels: Labels) -> None:
 
 def instance_ids(labels: Labels) -> np.ndarray:
     """(H, W) uint16: label id * 1000 + number for what is counted, else the label id."""
-    found = labels.semantic.copy()
-    met: dict[int, int] = {}
+    ids = labels.semantic.copy()
+    counts: dict[int, int] = {}
     for row in labels.instances:
         kind = BY_ID[row["semantic_id"]]
-        number = met.get(kind.id, 0)
+        number = counts.get(kind.id, 0)
         if not kind.has_instances or not row["pixels"] or number >= MOST:
             continue
-        found[labels.mask(row["id"])] = kind.id * 1000 + number
-        met[kind.id] = number + 1
-    return found.astype(np.uint16)
+        ids[labels.mask(row["id"])] = kind.id * 1000 + number
+        counts[kind.id] = number + 1
+    return ids.astype(np.uint16)
 
 
 def _polygons(ids: np.ndarray) -> dict[str, Any]:
@@ -113,9 +113,9 @@ def _polygons(ids: np.ndarray) -> dict[str, Any]:
 
 def disparity(depth_m: np.ndarray, fx_px: float, baseline_m: float) -> np.ndarray:
     """(H, W) uint16 of a planar depth, infinite at the sky; 0 where it is not above 0, or the camera has no `fx_px`."""
-    seen = (depth_m > 0.0) & (fx_px > 0.0)
-    steps = 256.0 * baseline_m * fx_px / np.where(seen, depth_m, 1.0) + 1.0
-    return np.where(seen, np.clip(np.rint(steps), 1.0, 65535.0), 0.0).astype(np.uint16)
+    valid = (depth_m > 0.0) & (fx_px > 0.0)
+    steps = 256.0 * baseline_m * fx_px / np.where(valid, depth_m, 1.0) + 1.0
+    return np.where(valid, np.clip(np.rint(steps), 1.0, 65535.0), 0.0).astype(np.uint16)
 
 
 def _camera(camera: Any, baseline_m: float) -> dict[str, Any]:

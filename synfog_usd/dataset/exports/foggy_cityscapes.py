@@ -32,8 +32,8 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             continue
         beta = f"{picture.beta:.4g}"
         folder.place(picture.screen, f"leftImg8bit_foggy/{stem}_leftImg8bit_foggy_beta_{beta}{suffix}")
-        seen = np.rint(255.0 * np.clip(picture.transmittance(), 0.0, 1.0)).astype(np.uint8)
-        folder.png(f"leftImg8bit_transmittance/{stem}_leftImg8bit_transmittance_beta_{beta}.png", seen)
+        codes = np.rint(255.0 * np.clip(picture.transmittance(), 0.0, 1.0)).astype(np.uint8)
+        folder.png(f"leftImg8bit_transmittance/{stem}_leftImg8bit_transmittance_beta_{beta}.png", codes)
     return [
         "beta is the fog's extinction -ln(0.05) / MOR [1/m]: 0.01997 is MOR 150 m.  Transmittance is along the ray, "
         "uint8 / 255.",

@@ -56,15 +56,15 @@ class LabelledPicture(PictureKey):
         Raises:
             ParameterError: the pipeline wrote none.
         """
-        found = [path for name, path in sorted(self.files.items()) if path.suffix in SCREEN and name != "contact.png"]
+        paths = [path for name, path in sorted(self.files.items()) if path.suffix in SCREEN and name != "contact.png"]
         if "srgb.png" in self.files:
             return self.files["srgb.png"]
-        if not found:
+        if not paths:
             raise ParameterError(
                 f"{self.files['instances.json'].parent}: no .png or .jpg to export; give the pipeline "
                 f"{self.pipeline!r} such an output"
             )
-        return found[0]
+        return paths[0]
 
     @property
     def clear(self) -> bool:
@@ -88,8 +88,8 @@ class LabelledPicture(PictureKey):
         Raises:
             OutputError: a file is missing or damaged.
         """
-        left = {row["id"]: row for row in _json(self.files["instances.json"])["instances"]}
-        return [{**left.get(row["id"], {}), **row} for row in self.labels.instances if row["pixels"]]
+        by_id = {row["id"]: row for row in _json(self.files["instances.json"])["instances"]}
+        return [{**by_id.get(row["id"], {}), **row} for row in self.labels.instances if row["pixels"]]
 
     def transmittance(self) -> Array:
         """(H, W) transmittance [1] from the camera to each pixel's surface, or to the end of the fog, in the picture's
@@ -104,12 +104,12 @@ class LabelledPicture(PictureKey):
         labels = self.labels
         if plane.shape == labels.instance.shape and not labels.metadata.get("warped"):
             return plane
-        told = writers.read_exr(self.files["radiance.exr"]).provenance
-        rendered = Pinhole(*plane.shape, told["fov_x_deg"], (told["shift_x"], told["shift_y"]))
-        view = told.get("view")
-        taken = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
+        provenance = writers.read_exr(self.files["radiance.exr"]).provenance
+        rendered = Pinhole(*plane.shape, provenance["fov_x_deg"], (provenance["shift_x"], provenance["shift_y"]))
+        view = provenance.get("view")
+        pinhole = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
         fit = labels.metadata.get("distortion_fit", "inside")
-        return plane[warp_of(rendered, tuple(labels.metadata["distortion_coefficients"]), fit, taken).nearest()]
+        return plane[warp_of(rendered, tuple(labels.metadata["distortion_coefficients"]), fit, pinhole).nearest()]
 
     def metadata(self) -> dict[str, Any]:
         """What it is of, for records beside it."""
@@ -193,19 +193,19 @@ def read_labels(picture: Path, listing: Path) -> Labels:
     from synfog_usd.camera import writers
 
     names = ["instance.ID", "semantic.ID", "depth.Z", "distance.Z"]
-    told = _json(listing)
-    paired = "baseline_m" in told.get("stereo", {})
+    listed = _json(listing)
+    paired = "baseline_m" in listed.get("stereo", {})
     names += stereo.CHANNELS if paired else ()
     planes = writers.read_exr(picture, quantity=Quantity.DATA, channels=names).pixels
-    if told.get("version", 0) < LABELS_VERSION or "camera" not in told:
+    if listed.get("version", 0) < LABELS_VERSION or "camera" not in listed:
         raise OutputError(f"{listing}: labels of an older version, without camera and outlines; bake this scene again")
     instance, semantic = (np.rint(planes[:, :, index]).astype(np.int64) for index in (0, 1))
-    rest = {name: value for name, value in told.items() if name not in ("camera", "instances")}
-    found = Labels(instance, semantic, planes[:, :, 2], planes[:, :, 3], told["camera"], told["instances"], rest)
+    rest = {name: value for name, value in listed.items() if name not in ("camera", "instances")}
+    result = Labels(instance, semantic, planes[:, :, 2], planes[:, :, 3], listed["camera"], listed["instances"], rest)
     if not paired:
-        return found
-    disparity = np.where(np.isfinite(found.depth_m), planes[:, :, 4], np.nan)
-    return replace(found, disparity_px=disparity, shared=planes[:, :, 5] == stereo.SEEN)
+        return result
+    disparity = np.where(np.isfinite(result.depth_m), planes[:, :, 4], np.nan)
+    return replace(result, disparity_px=disparity, shared=planes[:, :, 5] == stereo.SEEN)
 
 
 def pictures(out: Path) -> Iterator[LabelledPicture]:
@@ -223,44 +223,44 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
         for row in _json(out / RIG)["cameras"]:
             yield from _of_bake(out / row["folder"], row["camera"])
         return
-    for one in index.pictures(out):
+    for entry in index.pictures(out):
         yield LabelledPicture(
-            one.scene,
-            one.split,
-            one.source,
-            one.seed,
-            one.lighting,
-            one.camera,
-            one.fog,
-            one.mor_m,
-            one.pipeline,
-            one.files,
+            entry.scene,
+            entry.split,
+            entry.source,
+            entry.seed,
+            entry.lighting,
+            entry.camera,
+            entry.fog,
+            entry.mor_m,
+            entry.pipeline,
+            entry.files,
         )
 
 
-def with_right(found: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPicture, LabelledPicture | None]]:
+def with_right(entries: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPicture, LabelledPicture | None]]:
     """Pictures with those of their right eyes, which are not told by themselves; None where a picture has none.
 
     Args:
-        found: pictures in the order of a set: those of a scene follow each other.
+        entries: pictures in the order of a set: those of a scene follow each other.
     """
-    for _, some in itertools.groupby(found, lambda picture: picture.scene):
+    for _, some in itertools.groupby(entries, lambda picture: picture.scene):
         scene = list(some)
-        told = {path: _json(path) for path in dict.fromkeys(one.files["labels.json"] for one in scene)}
-        labels = [told[one.files["labels.json"]] for one in scene]
-        keys = [(one.lighting, one.fog, one.pipeline) for one in scene]
+        listings = {path: _json(path) for path in dict.fromkeys(entry.files["labels.json"] for entry in scene)}
+        labels = [listings[entry.files["labels.json"]] for entry in scene]
+        keys = [(entry.lighting, entry.fog, entry.pipeline) for entry in scene]
         eyes = {
-            (*key, said.get("camera", {}).get("path")): n
-            for n, (key, said) in enumerate(zip(keys, labels, strict=True))
+            (*key, listing.get("camera", {}).get("path")): n
+            for n, (key, listing) in enumerate(zip(keys, labels, strict=True))
         }
-        pairs = [said.get("stereo", {}) for said in labels]
+        pairs = [listing.get("stereo", {}) for listing in labels]
         rights = [
             eyes.get((*key, pair.get("right"))) if "baseline_m" in pair else None
             for key, pair in zip(keys, pairs, strict=True)
         ]
-        for number, (one, right) in enumerate(zip(scene, rights, strict=True)):
+        for number, (entry, right) in enumerate(zip(scene, rights, strict=True)):
             if number not in rights:
-                yield one, None if right is None else scene[right]
+                yield entry, None if right is None else scene[right]
 
 
 def _of_bake(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
@@ -270,25 +270,25 @@ def _of_bake(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
         pipeline = Path(manifest["pipeline"]["name"]).stem
         for row in manifest["shots"]:
             folder = out / row["folder"]
-            found = {name: folder / name for name in row["files"]}
-            found |= {name: out / name for name in ("labels.exr", "labels.json", "bake.json")}
+            paths = {name: folder / name for name in row["files"]}
+            paths |= {name: out / name for name in ("labels.exr", "labels.json", "bake.json")}
             mor = row["mor_m"]
             seed = manifest["plan"]["seed"]
-            yield LabelledPicture(0, ALL, source, seed, row["lighting"], camera, row["fog"], mor, pipeline, found)
+            yield LabelledPicture(0, ALL, source, seed, row["lighting"], camera, row["fog"], mor, pipeline, paths)
     except (KeyError, TypeError, AttributeError) as error:
         raise OutputError(f"{out / 'bake.json'}: no manifest of a bake ({error!r}); bake again") from error
 
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except OSError as error:
         raise OutputError(f"{path}: cannot be read ({error.strerror}); bake this scene again") from error
     except ValueError as error:
         raise OutputError(f"{path}: is no JSON ({error}); bake this scene again") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise OutputError(f"{path}: is no JSON object; bake this scene again")
-    return found
+    return content
 
 
 def plain(text: str) -> str:

@@ -93,26 +93,26 @@ def build(out: Path, target: Path, *, progress: Progress = silent) -> int:
 def row_of(picture: LabelledPicture, view: int) -> dict[str, Any]:
     """What the index knows of a picture."""
     classes = sorted({row["label"] for row in taxonomy.things(picture)})
-    told = {name: getattr(picture, name) for name in OF_TEXT}
+    values = {name: getattr(picture, name) for name in OF_TEXT}
     mor = None if picture.clear else picture.mor_m
-    return {"name": picture.name, "scene": picture.scene, **told, "mor_m": mor, "classes": classes, "view": view}
+    return {"name": picture.name, "scene": picture.scene, **values, "mor_m": mor, "classes": classes, "view": view}
 
 
 def write_index(folder: ExportFolder, rows: Iterable[dict[str, Any]], *, title: str) -> None:
     """Write `data/index.js`: words once, and for each picture a short row of numbers."""
     words: dict[str, dict[str, int]] = {name: {} for name in OF_TEXT}
     classes: dict[str, int] = {}
-    found = []
+    shards = []
     for row in rows:
         bits = sum(1 << classes.setdefault(name, len(classes)) for name in row["classes"])
         numbers = [words[name].setdefault(row[name], len(words[name])) for name in OF_TEXT]
-        found.append([row["name"], row["scene"], row["view"], row["mor_m"], bits, *numbers])
+        shards.append([row["name"], row["scene"], row["view"], row["mor_m"], bits, *numbers])
     data = {
         "title": title,
         "words": {name: list(values) for name, values in words.items()},
         "classes": list(classes),
         "colours": {kind.name: list(kind.colour) for kind in LABELS.values()},
-        "rows": found,
+        "rows": shards,
     }
     folder.text("data/index.js", f"window.SYNFOG_INDEX = {_script(data)};\n")
 
@@ -142,7 +142,7 @@ def _write_view(folder: ExportFolder, number: int, shown: Sequence[LabelledPictu
     place = folder.root.resolve()
     fogs: dict[str, Any] = {}
     views = []
-    things = [row for row in labels.instances if row["pixels"] and row["label"] in taxonomy.NAMES]
+    boxed = [row for row in labels.instances if row["pixels"] and row["label"] in taxonomy.NAMES]
     for picture in shown:
         if picture.fog not in fogs:
             fogs[picture.fog] = _of_fog(picture, step)
@@ -162,7 +162,7 @@ def _write_view(folder: ExportFolder, number: int, shown: Sequence[LabelledPictu
     data = {
         "size": list(labels.size_px),
         "step": step,
-        "things": [{name: row[name] for name in TOLD if name in row} for row in things],
+        "things": [{name: row[name] for name in TOLD if name in row} for row in boxed],
         "planes": _planes(labels, step),
         "fogs": fogs,
         "pictures": views,
@@ -173,10 +173,10 @@ def _write_view(folder: ExportFolder, number: int, shown: Sequence[LabelledPictu
 
 def _of_fog(picture: LabelledPicture, step: int) -> dict[str, Any]:
     clear = np.clip(picture.transmittance(), 0.0, 1.0)[::step, ::step]
-    left = {
+    by_name = {
         row["id"]: [row.get(name) for name in LEFT] for row in picture.instances() if row["label"] in taxonomy.NAMES
     }
-    return {"left": left, "transmittance": _uri(_pair(np.rint(clear * 65535.0)))}
+    return {"left": by_name, "transmittance": _uri(_pair(np.rint(clear * 65535.0)))}
 
 
 def _planes(labels: Labels, step: int) -> dict[str, str]:

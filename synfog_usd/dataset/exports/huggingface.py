@@ -31,11 +31,11 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             labels = picture.labels
             name = f"{picture.name}{picture.screen.suffix}"
             folder.place(picture.screen, f"data/{split}/{name}")
-            beside = f"labels/{split}/{picture.name}"
-            folder.png(f"{beside}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
-            folder.png(f"{beside}_id.png", np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16))
-            folder.png(f"{beside}_class.png", labels.semantic.astype(np.uint8))
-            things = list(taxonomy.things(picture, chosen))
+            stem = f"labels/{split}/{picture.name}"
+            folder.png(f"{stem}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
+            folder.png(f"{stem}_id.png", np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16))
+            folder.png(f"{stem}_class.png", labels.semantic.astype(np.uint8))
+            boxed = list(taxonomy.things(picture, chosen))
             camera = labels.camera
             yield {
                 "file_name": name,
@@ -44,11 +44,11 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
                 "camera_matrix_px": camera.get("camera_matrix_px", []),
                 "camera_to_world": camera["camera_to_world"],
                 "objects": {
-                    "id": [row["id"] for row in things],
-                    "bbox": [[float(part) for part in row["box_px"]] for row in things],
-                    "category": [row["label"] for row in things],
-                    "visibility": [row.get("visibility") or "" for row in things],
-                    **{name: [_number(row.get(name)) for row in things] for name in OF_FLOAT},
+                    "id": [row["id"] for row in boxed],
+                    "bbox": [[float(part) for part in row["box_px"]] for row in boxed],
+                    "category": [row["label"] for row in boxed],
+                    "visibility": [row.get("visibility") or "" for row in boxed],
+                    **{name: [_number(row.get(name)) for row in boxed] for name in OF_FLOAT},
                 },
             }
 

@@ -70,10 +70,10 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     ]
 
 
-def _row(row: dict[str, Any], other: str) -> str:
+def _row(row: dict[str, Any], rest: str) -> str:
     x, y, right, bottom = taxonomy.corners(row.get("amodal_box_px") or row["box_px"])
     box = f"{x:.2f} {y:.2f} {right:.2f} {bottom:.2f}"
-    kind = other if other == "DontCare" else TYPES.get(row["label"], other)
+    kind = rest if rest == "DontCare" else TYPES.get(row["label"], rest)
     if kind == "DontCare" or "box_3d" not in row:
         return f"DontCare -1 -1 -10 {box} -1 -1 -1 -1000 -1000 -1000 -10\n"
     (height, width, length), place, turn = upright(row)
@@ -99,11 +99,11 @@ def upright(row: dict[str, Any]) -> tuple[tuple[float, float, float], np.ndarray
     across = [axis for axis in range(3) if axis != up]
     sideways = row["label"] not in UPRIGHT and size[min(across)] > 1.2 * size[max(across)]
     ahead = min(across) if sideways else max(across)
-    beside = next(axis for axis in across if axis != ahead)
+    side = next(axis for axis in across if axis != ahead)
     down = -camera[:, up] * np.sign(world[2, up])
     place = np.array(row["box_3d"]["centre_camera_m"]) + down * size[up] / 2.0
     forward = camera[:, ahead]
-    return (size[up], size[beside], size[ahead]), place, math.atan2(-forward[2], forward[0])
+    return (size[up], size[side], size[ahead]), place, math.atan2(-forward[2], forward[0])
 
 
 def _matrix(wxyz: list[float]) -> np.ndarray:
@@ -119,7 +119,7 @@ def _wrapped(angle: float) -> float:
 def _calibration(camera: Any, baseline_m: float) -> str:
     matrix = np.array(camera.get("camera_matrix_px", np.eye(3)))
     places = [[0.0, 0.0, 0.0], [-baseline_m, 0.0, 0.0]]
-    eyes = [" ".join(f"{value:.12e}" for value in np.c_[matrix, matrix @ np.array(one)].ravel()) for one in places]
+    eyes = [" ".join(f"{value:.12e}" for value in np.c_[matrix, matrix @ np.array(place)].ravel()) for place in places]
     lidar = " ".join(f"{value:.12e}" for value in np.c_[np.array(LIDAR_TO_CAMERA), np.zeros(3)].ravel())
     same = " ".join(f"{value:.12e}" for value in np.eye(3).ravel())
     imu = " ".join(f"{value:.12e}" for value in np.eye(3, 4).ravel())

@@ -40,11 +40,11 @@ def outlines(values: npt.NDArray[np.int64]) -> list[RegionOutline]:
     pairs = [(number[:, :-1][right], number[:, 1:][right]) for right in [values[:, :-1] == values[:, 1:]]] + [
         (number[:-1][down], number[1:][down]) for down in [values[:-1] == values[1:]]
     ]
-    one, other = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
-    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(number.size, number.size))
+    starts, ends_of = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    graph = coo_array((np.ones(len(starts), dtype=np.int8), (starts, ends_of)), shape=(number.size, number.size))
     _, region = connected_components(graph, directed=False)
     onward = _walk(region.reshape(height, width)).tolist()
-    found = []
+    rings = []
     for first in np.unique(region, return_index=True)[1].tolist():  # its upper side is part of the outer edge
         path, state = [first], onward[first]
         while state != first:
@@ -54,8 +54,8 @@ def outlines(values: npt.NDArray[np.int64]) -> list[RegionOutline]:
         way = np.array(path) // number.size
         # of the corner at which each side begins: the sum over steps to the right and left is the area within
         area = int(np.sum(np.where(way == 2, row + 1, 0)) - np.sum(np.where(way == 0, row, 0)))
-        found.append(RegionOutline(int(values.flat[first]), _corners(column, row), area))
-    return sorted(found, key=lambda outline: -outline.area)
+        rings.append(RegionOutline(int(values.flat[first]), _corners(column, row), area))
+    return sorted(rings, key=lambda outline: -outline.area)
 
 
 def _walk(region: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
@@ -75,11 +75,11 @@ def _walk(region: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
     number = np.arange(height * width).reshape(height, width)
     onward = np.zeros((4, height, width), dtype=np.int64)
     for way, ahead in enumerate(STEPS):
-        left = STEPS[way - 1]
+        turn_left = STEPS[way - 1]
         straight = number + ahead[0] * width + ahead[1] + way * number.size
-        turned = number + (ahead + left)[0] * width + (ahead + left)[1] + (way - 1) % 4 * number.size
+        turned = number + (ahead + turn_left)[0] * width + (ahead + turn_left)[1] + (way - 1) % 4 * number.size
         here = number + (way + 1) % 4 * number.size
-        onward[way] = np.where(there(ahead), np.where(there(ahead + left), turned, straight), here)
+        onward[way] = np.where(there(ahead), np.where(there(ahead + turn_left), turned, straight), here)
     return onward.ravel()
 
 

@@ -23,24 +23,26 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     clear: set[int] = set()
     for picture in pictures():
         key = picture.scene, picture.lighting, picture.camera, picture.pipeline
-        one = number.setdefault(key, len(number) + 1)
+        scene_number = number.setdefault(key, len(number) + 1)
         suffix = picture.screen.suffix
         if picture.clear:
-            folder.place(picture.screen, f"{picture.split}/clear/{one}{suffix}")
-            clear.add(one)
+            folder.place(picture.screen, f"{picture.split}/clear/{scene_number}{suffix}")
+            clear.add(scene_number)
         else:
             count = fogs[key] = fogs.get(key, 0) + 1
-            folder.place(picture.screen, f"{picture.split}/hazy/{one}_{count}_{picture.beta:.5f}{suffix}")
-            seen = np.rint(255.0 * np.clip(picture.transmittance(), 0.0, 1.0)).astype(np.uint8)
-            folder.png(f"{picture.split}/trans/{one}_{count}.png", seen)
-            hazy.add(one)
-        rows.setdefault(picture.split, []).append({"id": one, "file": picture.name, "beta": f"{picture.beta:.6g}"})
-    for split, found in rows.items():
-        folder.table(f"{split}/ids.csv", found)
-    told = [
+            folder.place(picture.screen, f"{picture.split}/hazy/{scene_number}_{count}_{picture.beta:.5f}{suffix}")
+            codes = np.rint(255.0 * np.clip(picture.transmittance(), 0.0, 1.0)).astype(np.uint8)
+            folder.png(f"{picture.split}/trans/{scene_number}_{count}.png", codes)
+            hazy.add(scene_number)
+        rows.setdefault(picture.split, []).append(
+            {"id": scene_number, "file": picture.name, "beta": f"{picture.beta:.6g}"}
+        )
+    for split, entries in rows.items():
+        folder.table(f"{split}/ids.csv", entries)
+    notes = [
         "beta is the fog's extinction -ln(0.05) / MOR [1/m]; transmittance is along the ray, uint8 / 255.  There is no "
         "airlight A: it differs from pixel to pixel (layers.exr of the set has it).",
     ]
     if lonely := len(hazy - clear):
-        told.append(f"{lonely} ids have hazy pictures and no clear one: the set has no clear air there.")
-    return told
+        notes.append(f"{lonely} ids have hazy pictures and no clear one: the set has no clear air there.")
+    return notes

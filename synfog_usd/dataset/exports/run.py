@@ -49,21 +49,21 @@ class Census:
         self.lightings[picture.lighting] += 1
         self.sources[picture.source] += 1
         self.scenes.setdefault(picture.split, set()).add(picture.scene)
-        kept = 0
+        boxed = 0
         for row in taxonomy.things(picture, Boxed(classes=chosen.classes)):
             self.visibilities[row.get("visibility") or "unknown"] += 1
             if row.get("visibility") in chosen.drop:
                 self.dropped += 1
             else:
                 self.classes[row["label"]] += 1
-                kept += 1
-        self.things += kept
-        return kept
+                boxed += 1
+        self.things += boxed
+        return boxed
 
 
 def export(
     out: Path,
-    one: Exporter,
+    exporter: Exporter,
     target: Path,
     *,
     chosen: Boxed = STANDARD,
@@ -75,7 +75,7 @@ def export(
 
     Args:
         out: folder of the set or of the bake.
-        one: the format.
+        exporter: the format.
         target: folder to be filled.
         chosen: things that get a box.
         licence: of the pictures, a URL or an SPDX name.
@@ -85,7 +85,7 @@ def export(
     Raises:
         SynfogError: no set, damaged labels, a folder that cannot be written; classes for a format without boxes.
     """
-    _check(out, one, target, chosen, url)
+    _check(out, exporter, target, chosen, url)
     total = sum(1 for _ in pictures(out))
     if not total:
         raise ParameterError(f"{out}: no picture is finished; make some first")
@@ -94,9 +94,11 @@ def export(
     def counted() -> Iterator[LabelledPicture]:
         for picture in pictures(out):
             yield picture
-            progress(f"{one.name}: {picture.name}", min(0.99, 0.8 * next(done) / total))
+            progress(f"{exporter.name}: {picture.name}", min(0.99, 0.8 * next(done) / total))
 
-    notes = webdataset.write(counted, folder, chosen, url) if url is not None else one.write(counted, folder, chosen)
+    notes = (
+        webdataset.write(counted, folder, chosen, url) if url is not None else exporter.write(counted, folder, chosen)
+    )
 
     def rows() -> Iterator[dict[str, Any]]:
         for picture in pictures(out):
@@ -105,29 +107,31 @@ def export(
     folder.table("pictures.csv", rows())
     first = next(iter(pictures(out)))
     columns = [*first.metadata(), "things"]
-    name = f"{out.resolve().name}-{one.name}"
+    name = f"{out.resolve().name}-{exporter.name}"
     folder.json(
         "croissant.json",
-        croissant.record(target, name=name, what=one.what, licence=licence, columns=columns, pictures=census.pictures),
+        croissant.record(
+            target, name=name, what=exporter.what, licence=licence, columns=columns, pictures=census.pictures
+        ),
     )
-    folder.text("README.md", card(name, one, census, notes, folder, chosen=chosen, licence=licence))
+    folder.text("README.md", card(name, exporter, census, notes, folder, chosen=chosen, licence=licence))
     progress("done", 1.0)
     return census
 
 
-def _check(out: Path, one: Exporter, target: Path, chosen: Boxed, url: str | None) -> None:
+def _check(out: Path, exporter: Exporter, target: Path, chosen: Boxed, url: str | None) -> None:
     if target.resolve() == out.resolve() or target.resolve() in out.resolve().parents:
         raise ParameterError(f"--to {target}: that holds the set itself; choose a folder of its own")
-    if url is not None and one.name != "webdataset":
+    if url is not None and exporter.name != "webdataset":
         raise ParameterError(f"--to {url}: only --as webdataset writes to a URL; choose a folder")
-    if chosen.classes and not one.boxes:
-        boxed = ", ".join(name for name, other in EXPORTERS.items() if other.boxes)
-        raise ParameterError(f"--classes: {one.name} labels every pixel and has no boxes to choose; {boxed} have")
+    if chosen.classes and not exporter.boxes:
+        boxed = ", ".join(name for name, candidate in EXPORTERS.items() if candidate.boxes)
+        raise ParameterError(f"--classes: {exporter.name} labels every pixel and has no boxes to choose; {boxed} have")
 
 
 def card(
     name: str,
-    one: Exporter,
+    exporter: Exporter,
     census: Census,
     notes: Iterable[str],
     folder: ExportFolder,
@@ -140,10 +144,10 @@ def card(
     gone = ", ".join(chosen.drop) or "none"
     classes = [f"- Boxes are of {', '.join(chosen.classes)} alone; other things have none."] if chosen.classes else []
     lines = [
-        *(["---", f"pretty_name: {name}", "---", ""] if one.name == "huggingface" else []),
+        *(["---", f"pretty_name: {name}", "---", ""] if exporter.name == "huggingface" else []),
         f"# {name}",
         "",
-        f"{one.what} Made by synfog-usd {__version__}; read it with {one.reader}.",
+        f"{exporter.what} Made by synfog-usd {__version__}; read it with {exporter.reader}.",
         "",
         "| | |",
         "|---|---|",
@@ -155,7 +159,7 @@ def card(
         f"| boxes | {census.things} ({_counts(census.classes)}) |",
         f"| what fog and noise leave of things | {_counts(census.visibilities)} |",
         f"| without a box | {census.dropped} things ({gone}) |",
-        f"| depth | {one.depth or 'none'} |",
+        f"| depth | {exporter.depth or 'none'} |",
         f"| licence | {licence} |",
         "",
         "## What to know",
@@ -174,8 +178,8 @@ def card(
     return "\n".join(lines)
 
 
-def _counts(found: Counter[str]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in sorted(found.items())) or "none"
+def _counts(counter: Counter[str]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in sorted(counter.items())) or "none"
 
 
 def is_url(text: str) -> bool:

@@ -90,12 +90,12 @@ class Figures:
 
     def a_picture(self, classes: Sequence[str], states: Iterable[str] = STATES) -> float:
         """Mean count of some classes in a picture."""
-        found = sum(self.things.get(name, Counter())[state] for name in classes for state in states)
-        return found / max(self.pictures, 1)
+        total = sum(self.things.get(name, Counter())[state] for name in classes for state in states)
+        return total / max(self.pictures, 1)
 
     def share(self, name: str) -> float:
         """Part of the pixels of evaluated classes that have a class [%]."""
-        return 100.0 * self.pixels[name] / max(sum(self.pixels[one] for one in CITYSCAPES_PIXELS), 1)
+        return 100.0 * self.pixels[name] / max(sum(self.pixels[label] for label in CITYSCAPES_PIXELS), 1)
 
     def metadata(self) -> dict[str, Any]:
         """All of it, for JSON."""
@@ -105,10 +105,10 @@ class Figures:
             "splits": dict(self.splits),
             "humans_a_picture": round(self.a_picture(HUMANS), 4),
             "vehicles_a_picture": round(self.a_picture(VEHICLES), 4),
-            "things": {name: dict(found) for name, found in sorted(self.things.items())},
-            "distances_m": {name: dict(found) for name, found in self.distances.items()},
-            "visible_shares": {name: dict(found) for name, found in self.shares.items()},
-            "fogs": {name: {"mor_m": self.fog_m[name], **found} for name, found in self.fogs.items()},
+            "things": {name: dict(states) for name, states in sorted(self.things.items())},
+            "distances_m": {name: dict(states) for name, states in self.distances.items()},
+            "visible_shares": {name: dict(states) for name, states in self.shares.items()},
+            "fogs": {name: {"mor_m": self.fog_m[name], **states} for name, states in self.fogs.items()},
             "pixels_percent": {name: round(self.share(name), 3) for name in CITYSCAPES_PIXELS},
             "luminance_cd_m2": {
                 f"{lighting}/{fog}": dict(
@@ -145,8 +145,8 @@ def gather(out: Path, *, progress: Progress = silent) -> Figures:
         if view != picture.files["labels.exr"]:  # fogs share it
             view = picture.files["labels.exr"]
             ids, counts = np.unique(read_labels(view, picture.files["labels.json"]).semantic, return_counts=True)
-            for index, seen in zip(ids.tolist(), counts.tolist(), strict=True):
-                figures.pixels[NAMES[index]] += seen
+            for index, count in zip(ids.tolist(), counts.tolist(), strict=True):
+                figures.pixels[NAMES[index]] += count
         now = frozenset(picture.files.values())
         for name, path in picture.files.items():
             if path not in before and path.is_file():
@@ -189,7 +189,7 @@ def write(figures: Figures, path: Path, *, title: str) -> None:
 
 def page(figures: Figures, title: str) -> str:
     """The page's text."""
-    things = sum(sum(states.values()) for states in figures.things.values())
+    total = sum(sum(states.values()) for states in figures.things.values())
     parts = [
         "<!DOCTYPE html>",
         f'<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>',
@@ -197,7 +197,7 @@ def page(figures: Figures, title: str) -> str:
         f"<style>{STYLE}</style></head><body>",
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{figures.pictures} pictures of {len(figures.scenes)} scene{'' if len(figures.scenes) == 1 else 's'} "
-        f"({', '.join(f'{html.escape(name)} {n}' for name, n in figures.splits.items())}); {things} things in them, "
+        f"({', '.join(f'{html.escape(name)} {n}' for name, n in figures.splits.items())}); {total} things in them, "
         f"counted in every picture; {_size(sum(figures.bytes.values()))} on disk.</p>",
         "<h2>Beside published sets</h2>",
         _beside_published(figures, title),
@@ -256,16 +256,16 @@ def _beside_published(figures: Figures, title: str) -> str:
 
 
 def _bars(title: str, groups: dict[str, Counter[str]]) -> str:
-    most = max((sum(found.values()) for found in groups.values()), default=0) or 1
+    most = max((sum(states.values()) for states in groups.values()), default=0) or 1
     rows = []
-    for name, found in groups.items():
+    for name, states in groups.items():
         bars = "".join(
-            f'<i class="{_slug(state)}" style="width:{100.0 * found[state] / most:.2f}%"></i>'
+            f'<i class="{_slug(state)}" style="width:{100.0 * states[state] / most:.2f}%"></i>'
             for state in STATES
-            if found[state]
+            if states[state]
         )
-        told = ", ".join(f"{found[state]} {state}" for state in STATES if found[state])
-        rows.append(f"<tr><th>{html.escape(name)}</th><td class=bar>{bars}</td><td>{told or '0'}</td></tr>")
+        words = ", ".join(f"{states[state]} {state}" for state in STATES if states[state])
+        rows.append(f"<tr><th>{html.escape(name)}</th><td class=bar>{bars}</td><td>{words or '0'}</td></tr>")
     return f"<h2>{html.escape(title)}</h2><table class=bars>{''.join(rows)}</table>"
 
 

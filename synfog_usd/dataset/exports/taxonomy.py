@@ -33,9 +33,9 @@ def class_names(words: Sequence[str]) -> tuple[str, ...]:
     for word in words:
         if word in NAMES:
             continue
-        known = {kind.name for kind in LABELS.values()}
-        what = "has no instances, only pixels" if word in known else "is no class of Cityscapes"
-        near = "" if word in known else did_you_mean(word, sorted(NAMES))
+        names = {kind.name for kind in LABELS.values()}
+        what = "has no instances, only pixels" if word in names else "is no class of Cityscapes"
+        near = "" if word in names else did_you_mean(word, sorted(NAMES))
         raise ParameterError(f"--classes: {word!r} {what}; it takes {', '.join(kind.name for kind in THINGS)}.{near}")
     return tuple(dict.fromkeys(words))
 

@@ -79,13 +79,13 @@ def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Boxed) -> 
         keep = ("id", "path", "label", "semantic_id", "pixels", "box_px", "distance_m", "amodal_box_px", "amodal_rle")
         keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "speed_m_s", "mean_transmittance")
         keep += ("contrast", "contrast_rms", "cnr", "visibility")
-        things = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, chosen)]
-        told = {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes, "instances": things}
+        boxed = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, chosen)]
+        metadata = {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes, "instances": boxed}
         name = picture.name.replace(".", "_")
         ids = np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16)
         for ending, data in (
             (picture.screen.suffix[1:], picture.screen.read_bytes()),
-            ("json", json.dumps(told, allow_nan=False).encode()),
+            ("json", json.dumps(metadata, allow_nan=False).encode()),
             ("depth.png", png_bytes(quantised(labels.depth_m, STEPS_PER_M))),
             ("id.png", png_bytes(ids)),
             ("class.png", png_bytes(labels.semantic.astype(np.uint8))),

@@ -24,14 +24,14 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             middle = f"{(x + right) / 2 / width:.6f} {(y + bottom) / 2 / height:.6f}"
             lines.append(f"{number[row['label']]} {middle} {(right - x) / width:.6f} {(bottom - y) / height:.6f}\n")
         folder.text(f"labels/{picture.split}/{picture.name}.txt", "".join(lines))
-    found = list(splits)
-    train = "train" if "train" in splits else found[0] if found else "train"
+    split_names = list(splits)
+    train = "train" if "train" in splits else split_names[0] if split_names else "train"
     val = next((name for name in ("val", "test") if name in splits), train)
     names = "".join(f"  {index}: {kind.name}\n" for index, kind in enumerate(taxonomy.kinds(chosen)))
     test = "test: images/test\n" if "test" in splits else ""
     # without a path, ultralytics starts from the folder of data.yaml; from ., it starts where it was called
     folder.text("data.yaml", f"train: images/{train}\nval: images/{val}\n{test}names:\n{names}")
-    told = ["Boxes are of the visible pixels."]
+    notes = ["Boxes are of the visible pixels."]
     return (
-        told if val != train else [*told, f"There is one split: data.yaml names {train} for training and validation."]
+        notes if val != train else [*notes, f"There is one split: data.yaml names {train} for training and validation."]
     )

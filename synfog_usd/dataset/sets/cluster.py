@@ -75,9 +75,9 @@ def fitting(peak_mb: float | None) -> int:
 
 def gpus() -> tuple[str, ...]:
     """Numbers of this machine's CUDA devices, as CUDA_VISIBLE_DEVICES names them."""
-    said = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if said is not None:
-        return tuple(name.strip() for name in said.split(",") if name.strip())
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return tuple(name.strip() for name in visible.split(",") if name.strip())
     listed = Path("/proc/driver/nvidia/gpus")
     return tuple(str(number) for number in range(len(list(listed.iterdir())))) if listed.is_dir() else ()
 
@@ -168,33 +168,35 @@ def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
     items = root.value
     if not isinstance(items, dict) or "system" not in items:
         raise SetError(f"{root.place}: a cluster has a 'system': one of {', '.join(SYSTEMS)}")
-    said: Mapping[str, Any] = root.plain()
-    if said["system"] not in SYSTEMS:
+    settings: Mapping[str, Any] = root.plain()
+    if settings["system"] not in SYSTEMS:
         raise SetError(
-            f"{items['system'].place}: system is {said['system']!r}; it takes one of "
-            f"{', '.join(SYSTEMS)}.{did_you_mean(str(said['system']), SYSTEMS)}"
+            f"{items['system'].place}: system is {settings['system']!r}; it takes one of "
+            f"{', '.join(SYSTEMS)}.{did_you_mean(str(settings['system']), SYSTEMS)}"
         )
-    jobs = said.get("jobs", JOBS)
+    jobs = settings.get("jobs", JOBS)
     if not isinstance(jobs, int) or isinstance(jobs, bool) or not 1 <= jobs <= 100_000:
         raise SetError(f"{items['jobs'].place}: jobs is {jobs!r}; it takes a whole number from 1 to 100000")
-    options = {"processes": 1, **{key: value for key, value in said.items() if key not in ("system", "jobs")}}
+    options = {"processes": 1, **{key: value for key, value in settings.items() if key not in ("system", "jobs")}}
     options["worker_extra_args"] = [*options.get("worker_extra_args", []), "--nthreads", "1"]  # of units, not of a unit
-    own = shlex.join(isolated.python())  # a job begins by python -m, in whatever folder it was asked for
-    named = options.get("python") or dask.config.get(f"jobqueue.{said['system']}.python", None)
-    options["python"] = f"{named} -I" if named else own
-    kind = getattr(dask_jobqueue, SYSTEMS[said["system"]])
-    known = _options(kind)
+    python = shlex.join(isolated.python())  # a job begins by python -m, in whatever folder it was asked for
+    named = options.get("python") or dask.config.get(f"jobqueue.{settings['system']}.python", None)
+    options["python"] = f"{named} -I" if named else python
+    kind = getattr(dask_jobqueue, SYSTEMS[settings["system"]])
+    allowed = _options(kind)
     for key in options:
-        if key not in known:
+        if key not in allowed:
             raise SetError(
-                f"{items[key].key_place}: a cluster of {said['system']} has no {key!r}; it takes "
-                f"{', '.join(known)}.{did_you_mean(key, known)}"
+                f"{items[key].key_place}: a cluster of {settings['system']} has no {key!r}; it takes "
+                f"{', '.join(allowed)}.{did_you_mean(key, allowed)}"
             )
     with dask.config.set(SETTINGS):
         try:
             cluster = kind(**options)
         except (TypeError, ValueError) as error:
-            raise SetError(f"{path}: {SYSTEMS[said['system']]} of dask-jobqueue does not take that: {error}") from error
+            raise SetError(
+                f"{path}: {SYSTEMS[settings['system']]} of dask-jobqueue does not take that: {error}"
+            ) from error
         with cluster:
             yield cluster, jobs * options["processes"]
 

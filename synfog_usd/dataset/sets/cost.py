@@ -38,10 +38,10 @@ class Cost:
     unknown_s: float = UNKNOWN_S
 
     @classmethod
-    def known(cls, found: SetDefinition, tally: Tally) -> Cost:
+    def known(cls, definition: SetDefinition, tally: Tally) -> Cost:
         """From what was made already."""
-        width, height = found.size or (1280, 720)
-        unknown = UNKNOWN_S * max(1.0, len(found.fogs) * width * height / UNKNOWN_PX)
+        width, height = definition.size or (1280, 720)
+        unknown = UNKNOWN_S * max(1.0, len(definition.fogs) * width * height / UNKNOWN_PX)
         return cls({"": tally.seconds / tally.units} if tally.units else {}, unknown)
 
     def seen(self, lighting: str, seconds: float) -> Cost:
@@ -72,26 +72,30 @@ class Count:
     sources: Mapping[str, int]
 
 
-def count(found: SetDefinition) -> Count:
+def count(definition: SetDefinition) -> Count:
     """Count a set, scene by scene; memory does not grow with it."""
     from synfog_usd import camera
 
-    found = offers.known(found)
-    outputs = [camera.load_graph(path).outputs for path in found.pipelines]
+    definition = offers.known(definition)
+    outputs = [camera.load_graph(path).outputs for path in definition.pipelines]
     a_view = len(OF_VIEW) + any(name.endswith(PICTURES) for name in outputs[0])
     a_shot = OF_SHOT + sum(map(len, outputs))
-    guessed = [len(own) for path, own in zip(found.pipelines, outputs, strict=True) if path.stem in found.asm_estimated]
+    guessed = [
+        len(outputs_of)
+        for path, outputs_of in zip(definition.pipelines, outputs, strict=True)
+        if path.stem in definition.asm_estimated
+    ]
     shots = files = pictures = 0
     units: dict[str, int] = {}
-    splits = {split.name: 0 for split in found.splits}
-    sources = {source.name: 0 for source in found.sources}
-    for one in scenes(found):
-        splits[one.split.name] += 1
-        sources[one.source.name] += 1
-        shots += one.shots
-        foggy = len(one.units) * sum(fog != CLEAR for fog in one.fogs)
-        pictures += one.shots * len(found.pipelines) + foggy * len(guessed)
-        files += one.shots * a_shot + foggy * sum(guessed) + len(one.units) * a_view
-        for lighting in one.lightings:
-            units[lighting] = units.get(lighting, 0) + len(one.cameras)
-    return Count(found.scenes, shots, pictures, files, units, splits, sources)
+    splits = {split.name: 0 for split in definition.splits}
+    sources = {source.name: 0 for source in definition.sources}
+    for planned in scenes(definition):
+        splits[planned.split.name] += 1
+        sources[planned.source.name] += 1
+        shots += planned.shots
+        foggy = len(planned.units) * sum(fog != CLEAR for fog in planned.fogs)
+        pictures += planned.shots * len(definition.pipelines) + foggy * len(guessed)
+        files += planned.shots * a_shot + foggy * sum(guessed) + len(planned.units) * a_view
+        for lighting in planned.lightings:
+            units[lighting] = units.get(lighting, 0) + len(planned.cameras)
+    return Count(definition.scenes, shots, pictures, files, units, splits, sources)

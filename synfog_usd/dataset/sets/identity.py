@@ -26,29 +26,29 @@ class MismatchError(SetError):
     """What is here would make another set than the one that lies there."""
 
 
-def identity(found: SetDefinition, variant: str) -> dict[str, Any]:
+def identity(definition: SetDefinition, variant: str) -> dict[str, Any]:
     """What `set.json` says of what a set is made from.
 
     Args:
-        found: the set.
+        definition: the set.
         variant: Mitsuba's, see `render.backend`.
     """
     from synfog_usd import camera
     from synfog_usd.dataset.ledger import library_versions
 
-    recipes = {source.name: files.sha256_of(source.recipe) for source in found.sources if source.recipe}
+    recipes = {source.name: files.sha256_of(source.recipe) for source in definition.sources if source.recipe}
     return {
-        "definition": {key: value for key, value in found.words.items() if key not in FREE},
+        "definition": {key: value for key, value in definition.words.items() if key not in FREE},
         "recipes": recipes,
         "stages": {
             source.name: {path.name: files.sha256_of(path) for path in source.stages}
-            for source in found.sources
+            for source in definition.sources
             if source.stages
         },
-        "pipelines": {path.stem: camera.load_graph(path).hash for path in found.pipelines},
+        "pipelines": {path.stem: camera.load_graph(path).hash for path in definition.pipelines},
         "assets": assets_hash() if recipes else None,
         "variant": variant,
-        "versions": library_versions(denoise=QUALITIES[found.quality.get("quality", STANDARD)].clean),
+        "versions": library_versions(denoise=QUALITIES[definition.quality.get("quality", STANDARD)].clean),
     }
 
 
@@ -71,10 +71,12 @@ def read(out: Path) -> dict[str, Any]:
     """
     path = out / layout.SET
     try:
-        said = json.loads(path.read_bytes())
-        if said["schema"] != "synfog-usd/set" or said["version"] != 1:
-            raise SetError(f"{path}: schema {said['schema']!r} {said['version']}; this program reads synfog-usd/set 1")
-        said["made_of"], said["name"], said["scenes"]
+        content = json.loads(path.read_bytes())
+        if content["schema"] != "synfog-usd/set" or content["version"] != 1:
+            raise SetError(
+                f"{path}: schema {content['schema']!r} {content['version']}; this program reads synfog-usd/set 1"
+            )
+        content["made_of"], content["name"], content["scenes"]
     except FileNotFoundError as error:
         raise SetError(f"{out}: holds no set ({layout.SET}); make one with synfog-usd dataset run") from error
     except OSError as error:
@@ -83,13 +85,13 @@ def read(out: Path) -> dict[str, Any]:
         raise SetError(
             f"{path}: damaged ({error}); delete it, and dataset run writes it again if all else is the same"
         ) from error
-    return dict(said)
+    return dict(content)
 
 
-def write(out: Path, found: SetDefinition, made_of: Mapping[str, Any]) -> None:
+def write(out: Path, definition: SetDefinition, made_of: Mapping[str, Any]) -> None:
     """Say in `set.json` what the set is."""
-    plain = {"schema": "synfog-usd/set", "version": 1, "name": found.name, "about": found.about}
-    files.write_json(out / layout.SET, {**plain, "scenes": found.scenes, "made_of": made_of})
+    plain = {"schema": "synfog-usd/set", "version": 1, "name": definition.name, "about": definition.about}
+    files.write_json(out / layout.SET, {**plain, "scenes": definition.scenes, "made_of": made_of})
 
 
 def check(out: Path, made_of: Mapping[str, Any]) -> None:
@@ -116,5 +118,5 @@ def mismatch(there: Any, here: Any, what: str = "") -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
-    told = "nothing" if value is None else json.dumps(value)
-    return told if len(told) <= 40 else f"{told[:12]}...{told[-4:]}"
+    text = "nothing" if value is None else json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:12]}...{text[-4:]}"

@@ -144,17 +144,17 @@ def parts(out: Path) -> list[Path]:
     Raises:
         ParameterError: no set lies there.
     """
-    found = sorted((out / layout.INDEX).glob("part-*.parquet"))
-    if not found and (out / layout.SET).is_file():
+    paths = sorted((out / layout.INDEX).glob("part-*.parquet"))
+    if not paths and (out / layout.SET).is_file():
         raise ParameterError(
             f"{out}: this set is not finished and has no index of a set yet; synfog-usd dataset retry {out} goes on"
         )
-    if not found:
+    if not paths:
         raise ParameterError(
             f"{out}: no index of a set ({layout.INDEX}/part-*.parquet); make one with synfog-usd dataset run SET.yaml "
             f"-o {out}"
         )
-    return found
+    return paths
 
 
 def write_part(out: Path, part: int, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -164,13 +164,13 @@ def write_part(out: Path, part: int, rows: Iterable[Mapping[str, Any]]) -> None:
         OutputError: the folder cannot be written.
     """
     parquet, arrow = _parquet(), _arrow()
-    path, found = layout.part_path(out, part), list(rows)
-    if not found:
+    path, table_rows = layout.part_path(out, part), list(rows)
+    if not table_rows:
         path.unlink(missing_ok=True)
         return
     kinds = {"list<string>": arrow.list_(arrow.string())}
     schema = arrow.schema([(name, kinds.get(kind) or getattr(arrow, kind)()) for name, kind in COLUMNS.items()])
-    table = arrow.Table.from_pylist(found, schema=schema)
+    table = arrow.Table.from_pylist(table_rows, schema=schema)
     files.write_whole(path, lambda temporary: parquet.write_table(table, temporary, compression="zstd"))
 
 
@@ -196,13 +196,13 @@ def _of_part(out: Path, path: Path, scene: int | None = None) -> Iterator[Pictur
 
 def _picture(out: Path, row: Mapping[str, Any]) -> Picture:
     bake, shot, developed = (out / row[name] for name in ("bake", "shot", "developed"))
-    found = {
+    paths = {
         **{name: bake / name for name in OF_VIEW},
         **{name: shot / name for name in OF_SHOT},
         **{name: developed / name for name in row["outputs"]},
     }
     plain = {name: value for name, value in row.items() if name not in ("bake", "shot", "developed", "outputs")}
-    return Picture(**plain, bake=bake, shot=shot, files=found)
+    return Picture(**plain, bake=bake, shot=shot, files=paths)
 
 
 def _arrow() -> Any:

@@ -66,9 +66,9 @@ def lines(out: Path) -> Iterator[dict[str, Any]]:
         with (out / layout.RUN / JOURNAL).open(encoding="utf-8", errors="replace") as file:
             for line in file:
                 with contextlib.suppress(ValueError):
-                    found = json.loads(line)
-                    if isinstance(found, dict):
-                        yield found
+                    entry = json.loads(line)
+                    if isinstance(entry, dict):
+                        yield entry
     except FileNotFoundError:
         return
     except OSError as error:
@@ -77,10 +77,10 @@ def lines(out: Path) -> Iterator[dict[str, Any]]:
 
 def tally(out: Path) -> Tally:
     """All that a journal says, added up."""
-    found = Tally()
+    total = Tally()
     for line in lines(out):
-        found.add(line)
-    return found
+        total.add(line)
+    return total
 
 
 def write(out: Path, line: Mapping[str, Any]) -> None:
@@ -148,10 +148,17 @@ def under_way(out: Path) -> bool:
         os.close(handle)
 
 
-def keep_definition(out: Path, found: SetDefinition) -> None:
+def keep_definition(out: Path, definition: SetDefinition) -> None:
     """Write down what is made, for workers and for `retry`."""
-    offers = {str(path): {kind: list(names) for kind, names in offer.items()} for path, offer in found.offers.items()}
-    words = {"name": found.name, "folder": str(found.folder), "words": dict(found.words), "offers": offers}
+    offers = {
+        str(path): {kind: list(names) for kind, names in offer.items()} for path, offer in definition.offers.items()
+    }
+    words = {
+        "name": definition.name,
+        "folder": str(definition.folder),
+        "words": dict(definition.words),
+        "offers": offers,
+    }
     files.write_json(out / layout.RUN / DEFINITION, words)
 
 
@@ -163,9 +170,9 @@ def kept_definition(out: Path) -> SetDefinition:
     """
     path = out / layout.RUN / DEFINITION
     try:
-        said = json.loads(path.read_bytes())
-        words, name, folder = dict(said["words"]), str(said["name"]), Path(said["folder"])
-        offers = {Path(path): dict(offer) for path, offer in said.get("offers", {}).items()}
+        content = json.loads(path.read_bytes())
+        words, name, folder = dict(content["words"]), str(content["name"]), Path(content["folder"])
+        offers = {Path(path): dict(offer) for path, offer in content.get("offers", {}).items()}
     except FileNotFoundError as error:
         raise SetError(f"{out}: no set was begun here; synfog-usd dataset run SET.yaml -o {out} begins one") from error
     except (OSError, ValueError, KeyError, TypeError) as error:

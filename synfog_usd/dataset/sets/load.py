@@ -116,7 +116,7 @@ class _SetReader:
         sources = (*of("recipes", self.recipes, ()), *of("stages", self.stages, ()))
         if not sources:
             raise SetError(f"{root.place}: the set has neither 'recipes' nor 'stages' to draw from")
-        found = SetDefinition(
+        definition = SetDefinition(
             name=self.name,
             about=of("about", lambda item: text(item, "about"), ""),
             seed=of("seed", lambda item: whole(item, "seed", 0, 2**63 - 1), 0),
@@ -141,8 +141,8 @@ class _SetReader:
             folder=self.folder,
             words={},
         )
-        self.check(found, items)
-        return replace(found, words=self.words(found, items))
+        self.check(definition, items)
+        return replace(definition, words=self.words(definition, items))
 
     def extended(self, root: Located, depth: int) -> dict[str, Located]:
         """Sections of the file, over those of the one that it extends: a section replaces the whole other."""
@@ -163,18 +163,20 @@ class _SetReader:
         path = self.file(base, "extends", shipped(), "datasets")
         return {**self.extended(load_file(path, error=SetError), depth + 1), **items}
 
-    def file(self, item: Located, what: str, known: Mapping[str, Path], folder: str, name: str | None = None) -> Path:
+    def file(
+        self, item: Located, what: str, shipped_files: Mapping[str, Path], folder: str, name: str | None = None
+    ) -> Path:
         """A file that is named or lies beside the file that names it."""
-        said = name if name is not None else text(item, what)
-        if said in known:
-            return known[said]
+        word = name if name is not None else text(item, what)
+        if word in shipped_files:
+            return shipped_files[word]
         place = (item.key_place if name is not None else None) or item.place
-        own = self.folder_of(item) / said
-        if own.suffix == ".yaml" and own.is_file():
-            return own.resolve()
+        path = self.folder_of(item) / word
+        if path.suffix == ".yaml" and path.is_file():
+            return path.resolve()
         raise SetError(
-            f"{place}: {what} has no {said!r}; it takes the path of a file (.yaml), or a name of those that ship: "
-            f"{', '.join(known)}.{did_you_mean(said, known)}"
+            f"{place}: {what} has no {word!r}; it takes the path of a file (.yaml), or a name of those that ship: "
+            f"{', '.join(shipped_files)}.{did_you_mean(word, shipped_files)}"
         )
 
     def folder_of(self, item: Located) -> Path:
@@ -191,15 +193,15 @@ class _SetReader:
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes a list of names, or {{name: share, ...}}")
 
     def recipes(self, item: Located) -> tuple[Source, ...]:
-        known = resources.shipped("recipe")
-        found = []
+        shipped_recipes = resources.shipped("recipe")
+        sources = []
         for name, part, entry in self.shares(item, "recipes"):
-            path = self.file(entry, "recipes", known, "recipes", name)
-            found.append(Source(path.stem, part, path))
-        return _different(found, item)
+            path = self.file(entry, "recipes", shipped_recipes, "recipes", name)
+            sources.append(Source(path.stem, part, path))
+        return _different(sources, item)
 
     def stages(self, item: Located) -> tuple[Source, ...]:
-        found = []
+        sources = []
         for name, part, entry in self.shares(item, "stages"):
             pattern, place = Path(name), entry.key_place or entry.place
             base = Path(pattern.anchor) if pattern.is_absolute() else self.folder_of(entry)
@@ -211,8 +213,8 @@ class _SetReader:
             paths = [path.resolve() for path in paths if path.suffix in (".usd", ".usda", ".usdc", ".usdz")]
             if not paths:
                 raise SetError(f"{place}: stages: {name!r} matches no USD file below {base.resolve()}")
-            found.append(Source(name, part, None, tuple(paths)))
-        return _different(found, item)
+            sources.append(Source(name, part, None, tuple(paths)))
+        return _different(sources, item)
 
     def changes(self, item: Located) -> tuple[str, ...]:
         import json
@@ -231,28 +233,28 @@ class _SetReader:
         return tuple(read_distribution(entry, "lightings", parameter) for entry in entries(item, "lightings"))
 
     def fogs(self, item: Located) -> tuple[Distribution, ...]:
-        found = []
+        distributions = []
         for entry in entries(item, "fogs"):
             named = isinstance(entry.value, str)
             if named and re.fullmatch(r"[A-Za-z_][\w.-]*", entry.value):
-                found.append(fixed(entry.value))
+                distributions.append(fixed(entry.value))
             elif named:
                 raise SetError(f"{entry.place}: fogs: {entry.value!r} is no name; 600 is a visibility of 600 m")
             else:
-                found.append(read_distribution(entry, "fogs", FOG))
-        return tuple(found)
+                distributions.append(read_distribution(entry, "fogs", FOG))
+        return tuple(distributions)
 
     def cameras(self, item: Located) -> tuple[str, ...]:
-        found = []
+        paths = []
         for entry in entries(item, "cameras"):
             name = text(entry, "cameras")
             if name != OWN_CAMERA and not re.fullmatch(r"(/\w+)+", name):
                 raise SetError(f"{entry.place}: cameras has {name!r}; it takes prim paths, or {OWN_CAMERA}")
-            found.append("" if name == OWN_CAMERA else name)
-        names = [name.rsplit("/", 1)[-1] for name in found]
+            paths.append("" if name == OWN_CAMERA else name)
+        names = [name.rsplit("/", 1)[-1] for name in paths]
         if len(set(names)) < len(names):
             raise SetError(f"{item.place}: cameras: two have the same name; their folders would be one")
-        return tuple(found)
+        return tuple(paths)
 
     def meter(self, item: Located) -> str:
         if item.value not in METERS:
@@ -260,11 +262,11 @@ class _SetReader:
         return str(item.value)
 
     def pipelines(self, item: Located) -> tuple[Path, ...]:
-        known = resources.shipped("pipeline")
-        found = [self.file(entry, "pipelines", known, "pipeline") for entry in entries(item, "pipelines")]
-        if len({path.stem for path in found}) < len(found):
+        shipped_graphs = resources.shipped("pipeline")
+        paths = [self.file(entry, "pipelines", shipped_graphs, "pipeline") for entry in entries(item, "pipelines")]
+        if len({path.stem for path in paths}) < len(paths):
             raise SetError(f"{item.place}: pipelines: two have the same name; their folders would be one")
-        return tuple(found)
+        return tuple(paths)
 
     def asm_estimated(self, item: Located) -> tuple[str, ...]:
         listed = entries(item, "asm_estimated") if item.value != [] else []
@@ -287,7 +289,7 @@ class _SetReader:
                     f"denoised nor regularized, every other word is both; samples or target_error end a shot; all that "
                     f"stands in fog is drawn"
                 )
-        found = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
+        options = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
         kinds = {
             "word": (str, "a word"),
             "model": (str, "a name"),
@@ -295,10 +297,10 @@ class _SetReader:
             "target_error": (float, "a number"),
             "bands": (int, "a whole number"),
         }
-        for key, value in found.items():
+        for key, value in options.items():
             place, (kind, form) = item.value[key].place, kinds[key]
             if kind is bool:
-                found[key] = value = yamlio.switch(value)
+                options[key] = value = yamlio.switch(value)
             if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
                 raise SetError(f"{place}: quality.{key} is {value!r}; it takes {form}")
             try:
@@ -316,7 +318,7 @@ class _SetReader:
                     check_name(value)
             except ParameterError as error:
                 raise SetError(f"{place}: quality.{key}: {error}") from error
-        return found | ({"quality": found.pop("word")} if "word" in found else {})
+        return options | ({"quality": options.pop("word")} if "word" in options else {})
 
     def quality_word(self, item: Located) -> str:
         try:
@@ -326,7 +328,7 @@ class _SetReader:
         return str(item.value)
 
     def exposure(self, item: Located) -> dict[str, float]:
-        found: dict[str, float] = {}
+        options: dict[str, float] = {}
         for key, entry in mapping(item, "exposure", tuple(EXPOSURE)).items():
             value = entry.value
             if isinstance(value, bool) or not isinstance(value, int | float | str):
@@ -334,49 +336,49 @@ class _SetReader:
                     f"{entry.place}: exposure.{key} is {entry.plain()!r}; it takes a number, as 1/200 or 400"
                 )
             try:
-                found[EXPOSURE[key]] = numbers.seconds_of(str(value)) if key == "time" else float(value)
+                options[EXPOSURE[key]] = numbers.seconds_of(str(value)) if key == "time" else float(value)
             except (ParameterError, ValueError) as error:
                 raise SetError(f"{entry.place}: exposure.{key}: {error}") from error
         try:
-            numbers.check_exposure(**{"exposure_s": None, "iso": None, "ev": 0.0, **found})
+            numbers.check_exposure(**{"exposure_s": None, "iso": None, "ev": 0.0, **options})
         except ParameterError as error:
             raise SetError(f"{item.place}: exposure: {error}") from error
-        return found
+        return options
 
     def splits(self, item: Located) -> tuple[Split, ...]:
         if not isinstance(item.value, dict) or not item.value:
             raise SetError(f"{item.place}: splits is {item.plain()!r}; it takes {{train: 9, test: 1}} or the like")
-        found = []
+        result = []
         for name, entry in item.value.items():
             if not re.fullmatch(r"[A-Za-z][\w-]*", name):
                 raise SetError(f"{entry.key_place}: splits: {name!r} is no name; use letters, digits, _ and -")
             if not isinstance(entry.value, dict):
-                found.append(Split(name, share(entry, f"splits: the share of {name!r}")))
+                result.append(Split(name, share(entry, f"splits: the share of {name!r}")))
                 continue
             fields = mapping(entry, f"splits: {name}", ("share", *HELD_OUT))
             if "share" not in fields:
                 raise SetError(f"{entry.place}: splits: {name} has no 'share'")
             held = {
-                key: frozenset(text(one, f"splits: {name}: {key}") for one in entries(fields[key], key))
+                key: frozenset(text(thing_held, f"splits: {name}: {key}") for thing_held in entries(fields[key], key))
                 for key in HELD_OUT
                 if key in fields
             }
-            found.append(Split(name, share(fields["share"], f"splits: the share of {name!r}"), **held))
-        return tuple(found)
+            result.append(Split(name, share(fields["share"], f"splits: the share of {name!r}"), **held))
+        return tuple(result)
 
-    def check(self, found: SetDefinition, items: Mapping[str, Located]) -> None:
+    def check(self, definition: SetDefinition, items: Mapping[str, Located]) -> None:
         """What no section can tell alone."""
         from synfog_usd.dataset.sets.scenes import assignment, held_out
 
         place = items["splits"].place if "splits" in items else ""
-        known = {source.name for source in found.sources}
-        for split in found.splits:
-            for name in sorted(split.recipes - known):
+        source_names = {source.name for source in definition.sources}
+        for split in definition.splits:
+            for name in sorted(split.recipes - source_names):
                 raise SetError(
-                    f"{place}: splits: {split.name}: no recipe {name!r} in this set.{did_you_mean(name, known)}"
+                    f"{place}: splits: {split.name}: no recipe {name!r} in this set.{did_you_mean(name, source_names)}"
                 )
-        if any(split.models or split.skies for split in found.splits):
-            if any(source.stages for source in found.sources):
+        if any(split.models or split.skies for split in definition.splits):
+            if any(source.stages for source in definition.sources):
                 raise SetError(
                     f"{place}: models and skies can be held out of recipes alone: what a stage of your own shows is "
                     f"not known beforehand; hold out the pattern under recipes instead"
@@ -384,88 +386,88 @@ class _SetReader:
             from synfog_usd.world.library import library
             from synfog_usd.world.skies import skies
 
-            for split in found.splits:
+            for split in definition.splits:
                 for kind, names, there in (("model", split.models, library()), ("sky", split.skies, skies())):
                     for name in sorted(names - set(there)):
                         raise SetError(
                             f"{place}: splits: {split.name}: no {kind} {name!r} ships.{did_you_mean(name, there)}"
                         )
-        assignment(found)
-        for source in found.sources:
+        assignment(definition)
+        for source in definition.sources:
             if source.recipe is not None:
                 try:
-                    for split in found.splits:
-                        held_out(found, source, split)
+                    for split in definition.splits:
+                        held_out(definition, source, split)
                 except (RecipeError, SetError) as error:
                     raise SetError(f"{place or items['recipes'].place}: {error}") from error
-        if len(found.pipelines) > 1 and not any(fog == fixed(CLEAR) for fog in found.fogs):
+        if len(definition.pipelines) > 1 and not any(fog == fixed(CLEAR) for fog in definition.fogs):
             raise SetError(
                 f"{items['pipelines'].place}: pipelines after the first are metered on the clear frame; put {CLEAR} "
                 f"among the fogs"
             )
-        self.check_cameras(found, items)
-        known = {path.stem for path in found.pipelines}
-        for index, name in enumerate(found.asm_estimated):
+        self.check_cameras(definition, items)
+        source_names = {path.stem for path in definition.pipelines}
+        for index, name in enumerate(definition.asm_estimated):
             entry = items["asm_estimated"].value[index]
-            if name not in known:
+            if name not in source_names:
                 raise SetError(
                     f"{entry.place}: asm_estimated has {name!r}; it takes those that stand under pipelines: "
-                    f"{', '.join(sorted(known))}"
+                    f"{', '.join(sorted(source_names))}"
                 )
-            if fixed(CLEAR) not in found.fogs:
+            if fixed(CLEAR) not in definition.fogs:
                 raise SetError(f"{entry.place}: asm_estimated fogs the clear frame; put {CLEAR} among the fogs")
 
-    def check_cameras(self, found: SetDefinition, items: Mapping[str, Located]) -> None:
+    def check_cameras(self, definition: SetDefinition, items: Mapping[str, Located]) -> None:
         """Whether every pipeline can develop the radiance that is rendered for the first."""
         from synfog_usd import camera
         from synfog_usd.camera import fisheye
         from synfog_usd.camera.distortion import Pinhole, to_render
         from synfog_usd.camera.exposure import moments_of
 
-        seen = None
-        for index, path in enumerate(found.pipelines):
+        view = None
+        for index, path in enumerate(definition.pipelines):
             place = items["pipelines"].value[index].place if "pipelines" in items else path
             try:
                 graph = camera.load_graph(path)
-                exposed(graph, found.exposure)
+                exposed(graph, definition.exposure)
             except SynfogError as error:
                 raise SetError(f"{place}: pipelines: {error}") from error
             if [str(port) for port in graph.inputs.values()] != ["radiance"] or moments_of(graph):
                 raise SetError(
                     f"{place}: pipelines: {path.stem} does not take radiance alone, which is what is rendered"
                 )
-            asked = to_render(graph, Pinhole(180, 320, 60.0, (0.0, 0.0))), fisheye.of_graph(graph)
-            if index and asked != seen:
+            lens = to_render(graph, Pinhole(180, 320, 60.0, (0.0, 0.0))), fisheye.of_graph(graph)
+            if index and lens != view:
                 raise SetError(
                     f"{place}: pipelines: the lens of {path.stem} projects otherwise than that of "
-                    f"{found.pipelines[0].stem}, for which the radiance is rendered; put it into a set of its own"
+                    f"{definition.pipelines[0].stem}, for which the radiance is rendered; put it into a set of its own"
                 )
-            seen = asked
+            view = lens
 
-    def words(self, found: SetDefinition, items: Mapping[str, Located]) -> dict[str, Any]:
+    def words(self, definition: SetDefinition, items: Mapping[str, Located]) -> dict[str, Any]:
         """The sections as plain data without `extends`; paths start from the folder of the file."""
 
         def named(path: Path, folder: Path) -> str:
             return path.stem if path.parent == folder.resolve() else os.path.relpath(path, self.folder)
 
         recipes, pipelines = resources.folder("stages") / "recipes", resources.folder("pipeline")
-        shares = [(source, str(source.share)) for source in found.sources]
-        of_recipes = {named(one.recipe, recipes): part for one, part in shares if one.recipe}
-        of_stages = {one.name: part for one, part in shares if one.stages}
+        shares = [(source, str(source.share)) for source in definition.sources]
+        of_recipes = {named(origin.recipe, recipes): part for origin, part in shares if origin.recipe}
+        of_stages = {origin.name: part for origin, part in shares if origin.stages}
         return {
             **{key: item.plain() for key, item in items.items()},
             **({"recipes": of_recipes} if of_recipes else {}),
             **({"stages": of_stages} if of_stages else {}),
-            "pipelines": [named(path.resolve(), pipelines) for path in found.pipelines],
+            "pipelines": [named(path.resolve(), pipelines) for path in definition.pipelines],
         }
 
 
-def _different(found: Sequence[Source], item: Located) -> tuple[Source, ...]:
-    names = [source.name for source in found]
+def _different(sources: Sequence[Source], item: Located) -> tuple[Source, ...]:
+    names = [source.name for source in sources]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise SetError(f"{item.place}: {', '.join(sorted(twice))} stands here twice; splits tell them apart by name")
-    return tuple(found)
+    return tuple(sources)
 
 
 def fixed(value: Any) -> Distribution:
@@ -489,28 +491,28 @@ def text(item: Located, what: str) -> str:
 
 def whole(item: Located, what: str, low: int, high: int) -> int:
     """A whole number within limits."""
-    found = read_distribution(item, what, _limits(low, high))
-    if found.kind != "fixed":
+    distribution = read_distribution(item, what, _limits(low, high))
+    if distribution.kind != "fixed":
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes one whole number")
-    return int(found.values[0])
+    return int(distribution.values[0])
 
 
 def switch(item: Located, what: str) -> bool:
     """True or false."""
-    if not isinstance(told := yamlio.switch(item.value), bool):
+    if not isinstance(value := yamlio.switch(item.value), bool):
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes true or false")
-    return told
+    return value
 
 
 def share(item: Located, what: str) -> Fraction:
     """A number above 0, exact as written."""
     try:
-        found = Fraction(str(item.value)) if not isinstance(item.value, bool) else Fraction(0)
+        fraction = Fraction(str(item.value)) if not isinstance(item.value, bool) else Fraction(0)
     except (ValueError, ZeroDivisionError):
-        found = Fraction(0)
-    if not 0 < found <= 10**9:
+        fraction = Fraction(0)
+    if not 0 < fraction <= 10**9:
         raise SetError(f"{item.place}: {what} is {item.plain()!r}; it takes a number above 0")
-    return found
+    return fraction
 
 
 def _limits(low: int, high: int) -> Parameter:

@@ -42,69 +42,71 @@ def of_stages(paths: Sequence[Path]) -> dict[Path, Offer]:
 
 def asked(stages: Sequence[Path]) -> dict[Path, Offer]:
     """`of_stages` in a child, since a stage may take its reader down.  That one offers nothing, and its bake tells."""
-    found: dict[Path, Offer] = {}
-    while left := [path for path in stages if path not in found]:
-        lines = isolated.answer(("dataset", "offers"), "\n".join(map(str, left)))
+    offers: dict[Path, Offer] = {}
+    while remaining := [path for path in stages if path not in offers]:
+        lines = isolated.answer(("dataset", "offers"), "\n".join(map(str, remaining)))
         read = [json.loads(line) for line in lines if line.endswith("}")]
-        found |= dict(zip(left, [*read, {}], strict=False))
-    return found
+        offers |= dict(zip(remaining, [*read, {}], strict=False))
+    return offers
 
 
-def known(found: SetDefinition, read: Callable[[Sequence[Path]], Mapping[Path, Offer]] = of_stages) -> SetDefinition:
+def known(
+    definition: SetDefinition, read: Callable[[Sequence[Path]], Mapping[Path, Offer]] = of_stages
+) -> SetDefinition:
     """The set with what all its stages offer.
 
     Args:
-        found: the set.
+        definition: the set.
         read: `of_stages`, or `asked`.
 
     Raises:
         SetError: the set names what none of its stages has.
     """
-    stages = dict.fromkeys(path for source in found.sources for path in source.stages)
-    offers = {**found.offers, **read([path for path in stages if path not in found.offers])} if stages else {}
-    found = replace(found, offers=offers)
+    stages = dict.fromkeys(path for source in definition.sources for path in source.stages)
+    offers = {**definition.offers, **read([path for path in stages if path not in definition.offers])} if stages else {}
+    definition = replace(definition, offers=offers)
     if not stages:
-        return found
-    recipes = any(source.recipe for source in found.sources)
+        return definition
+    recipes = any(source.recipe for source in definition.sources)
     for kind, section in KINDS.items():
         there = {AS_AUTHORED: None} | {name: None for path in stages for name in offers[path].get(kind, ())}
         there |= dict.fromkeys(RECIPE_LIGHTINGS if kind == "lighting" and recipes else ())
-        for one in found.lightings if kind == "lighting" else found.fogs:
-            for name in one.values if one.kind in ("fixed", "choice") else ():
+        for distribution in definition.lightings if kind == "lighting" else definition.fogs:
+            for name in distribution.values if distribution.kind in ("fixed", "choice") else ():
                 usual = name in RECIPE_LIGHTINGS if kind == "lighting" else not isinstance(name, str) or _free(name)
                 if not usual and name not in there and not (recipes and kind == "fog"):
                     free = ", and all take clear and visibilities" if kind == "fog" else ""
                     raise SetError(
-                        f"{found.name}: {section} has {name!r}, which no stage of the set has; they have "
+                        f"{definition.name}: {section} has {name!r}, which no stage of the set has; they have "
                         f"{', '.join(there)}{free}.{did_you_mean(str(name), there)}"
                     )
-    return found
+    return definition
 
 
-def chosen(found: SetDefinition, stage: Path, kind: str, drawn: Sequence[str]) -> tuple[str, ...]:
+def chosen(definition: SetDefinition, stage: Path, kind: str, names: Sequence[str]) -> tuple[str, ...]:
     """The lightings or fogs of a stage in a set.
 
     Args:
-        found: the set.
+        definition: the set.
         stage: a file of its stages.
         kind: 'lighting' or 'fog'.
-        drawn: names that the set has for the scene; none for all that the stage has.
+        names: names that the set has for the scene; none for all that the stage has.
 
     Raises:
         SetError: the stage has variants, and one that is asked for is not among them.
     """
-    there = (found.offers[stage] if stage in found.offers else of_stage(stage)).get(kind, ())
-    if not drawn:
+    there = (definition.offers[stage] if stage in definition.offers else of_stage(stage)).get(kind, ())
+    if not names:
         return tuple(offered_names(there))
-    asked = [name if there or (kind == "fog" and _free(name)) else AS_AUTHORED for name in drawn]
-    for name in asked:
+    result = [name if there or (kind == "fog" and _free(name)) else AS_AUTHORED for name in names]
+    for name in result:
         if name not in (*there, AS_AUTHORED) and not (kind == "fog" and _free(name)):
             raise SetError(
-                f"{stage}: has the {KINDS[kind]} {', '.join(there)}, and the set {found.name!r} asks for {name!r}; "
-                f"name some of them under {KINDS[kind]}, or {AS_AUTHORED} for the stage as it is."
+                f"{stage}: has the {KINDS[kind]} {', '.join(there)}, and the set {definition.name!r} asks for "
+                f"{name!r}; name some of them under {KINDS[kind]}, or {AS_AUTHORED} for the stage as it is."
                 f"{did_you_mean(name, there)}"
             )
-    return tuple(dict.fromkeys(asked))
+    return tuple(dict.fromkeys(result))
 
 
 def _free(fog: str) -> bool:

@@ -101,15 +101,15 @@ def numbers_of(text: str, count: int) -> tuple[int, ...]:
     >>> numbers_of("3,5-7", 10)
     (3, 5, 6, 7)
     """
-    found: dict[int, None] = {}
+    numbers: dict[int, None] = {}
     for part in text.split(","):
         low, dash, high = part.strip().partition("-")
         if not low.isdecimal() or (dash and not high.isdecimal()) or (dash and int(high) < int(low)):
             raise ParameterError(f"--only {text}: {part.strip()!r} is no number or range, as in 17,40-60")
         if int(high or low) >= count:
             raise ParameterError(f"--only {text}: the set has scenes 0 to {count - 1}")
-        found |= dict.fromkeys(range(int(low), int(high or low) + 1))
-    return tuple(found)
+        numbers |= dict.fromkeys(range(int(low), int(high or low) + 1))
+    return tuple(numbers)
 
 
 OPTIONS: dict[str, Callable[[Any, str], Any]] = {
@@ -161,18 +161,18 @@ def make_set(
     options = {word: OPTIONS[word](value, word) for word, value in options.items() if value is not None}
     folder = path_of(out, "--out")
     if what is None:
-        found = journal.kept_definition(folder)
+        definition = journal.kept_definition(folder)
     elif isinstance(what, Mapping):
-        found = define_set(**what)
+        definition = define_set(**what)
     else:
-        found = load_set(path_of(what, "set"))
-    found = offers.known(found, offers.asked)
-    numbers = numbers_of(only, found.scenes) if only is not None else None
-    return run(found, RunPlan(folder, only=numbers, **options), progress=progress, log=log)
+        definition = load_set(path_of(what, "set"))
+    definition = offers.known(definition, offers.asked)
+    numbers = numbers_of(only, definition.scenes) if only is not None else None
+    return run(definition, RunPlan(folder, only=numbers, **options), progress=progress, log=log)
 
 
 def run(
-    found: SetDefinition,
+    definition: SetDefinition,
     plan: RunPlan,
     *,
     progress: Progress = silent,
@@ -181,7 +181,7 @@ def run(
     """Make what of a set is not there yet.
 
     Args:
-        found: the set.
+        definition: the set.
         plan: how.
         progress: told the fraction of what is to be made that is done.
         log: given one line for whatever a user wants to know on the way.
@@ -194,31 +194,31 @@ def run(
     """
     from synfog_usd.render import backend
 
-    out, began, found = plan.out, time.monotonic(), offers.known(found)
+    out, began, definition = plan.out, time.monotonic(), offers.known(definition)
     with journal.held(out):
         _sweep(out)
         variant = backend.choose(plan.variant).variant  # type: ignore[arg-type]
-        made_of = identity.identity(found, variant)
+        made_of = identity.identity(definition, variant)
         if (out / layout.SET).exists():
             identity.check(out, made_of)
-        identity.write(out, found, made_of)
-        journal.keep_definition(out, found)
+        identity.write(out, definition, made_of)
+        journal.keep_definition(out, definition)
         if plan.retry:
             journal.write(out, {"retry": True})
-        maker = _Maker(found, plan, backend.choose(plan.variant).name, progress, log)
-        own = time.process_time()
+        maker = _Maker(definition, plan, backend.choose(plan.variant).name, progress, log)
+        cpu_began_s = time.process_time()
         try:
             try:
                 maker.make()
             except BaseException:
                 with contextlib.suppress(OutputError):  # told is what ended the run, not what follows from it
-                    _write_index(out, found, log)
+                    _write_index(out, definition, log)
                 raise
-            _write_index(out, found, log)
+            _write_index(out, definition, log)
         except OutputError as error:
             raise OutputError(f"{error}. Finished units are kept; the same command goes on from there") from error
         maker.outcome.seconds = time.monotonic() - began
-        maker.outcome.own_cpu_s += time.process_time() - own
+        maker.outcome.own_cpu_s += time.process_time() - cpu_began_s
     return maker.outcome
 
 
@@ -226,11 +226,11 @@ class _Maker:
     """One run: what is waiting, under way and done."""
 
     def __init__(
-        self, found: SetDefinition, plan: RunPlan, variant: str, progress: Progress, log: Callable[[str], None]
+        self, definition: SetDefinition, plan: RunPlan, variant: str, progress: Progress, log: Callable[[str], None]
     ) -> None:
-        self.found, self.plan, self.variant, self.progress, self.log = found, plan, variant, progress, log
+        self.found, self.plan, self.variant, self.progress, self.log = definition, plan, variant, progress, log
         self.tally = journal.tally(plan.out)
-        self.cost = Cost.known(found, self.tally)
+        self.cost = Cost.known(definition, self.tally)
         self.outcome = Outcome()
         self.tries: dict[str, int] = {}
         self.ended: queue.SimpleQueue[tuple[Unit, Any]] = queue.SimpleQueue()
@@ -268,15 +268,15 @@ class _Maker:
     def workers(self) -> Iterator[cluster.Workers]:
         plan = self.plan
         if plan.scheduler is not None:
-            with cluster.joined(plan.scheduler) as found:
-                yield found
+            with cluster.joined(plan.scheduler) as client:
+                yield client
         elif plan.batch is not None:
-            with cluster.batch(plan.batch) as found:
-                yield found
+            with cluster.batch(plan.batch) as client:
+                yield client
         else:
             self.gpus = cluster.gpus() if self.variant == "cuda" else ()
-            with cluster.local(plan.workers or len(self.gpus) or cluster.fitting(self.tally.peak_mb or None)) as found:
-                yield found
+            with cluster.local(plan.workers or len(self.gpus) or cluster.fitting(self.tally.peak_mb or None)) as client:
+                yield client
 
     def feed(self, workers: cluster.Workers, todo: Iterator[Unit]) -> None:
         """Keep the workers busy until nothing is left."""
@@ -409,18 +409,18 @@ class _Maker:
         self.progress(", ".join(parts), self.done / max(1, self.total))
 
 
-def shared_cores(cores: int, workers: int, left: int) -> int:
+def shared_cores(cores: int, workers: int, units_left: int) -> int:
     """On how many cores a unit may run: the last ones take those of the workers that have nothing more to do.
 
     Args:
         cores: of each worker; 0 is all of its machine's.
         workers: how many.
-        left: units that are not begun, with this one.
+        units_left: units that are not begun, with this one.
 
     >>> [shared_cores(2, 4, left) for left in (5, 4, 3, 2, 1)]
     [2, 2, 2, 4, 8]
     """
-    return cores * workers // left if 0 < left < workers else cores
+    return cores * workers // units_left if 0 < units_left < workers else cores
 
 
 def _chain(first: Unit, rest: Iterable[Unit]) -> Iterator[Unit]:
@@ -435,23 +435,25 @@ def _sweep(out: Path) -> None:
             leftover.unlink(missing_ok=True)
 
 
-def _write_index(out: Path, found: SetDefinition, log: Callable[[str], None]) -> None:
+def _write_index(out: Path, definition: SetDefinition, log: Callable[[str], None]) -> None:
     """Write the parts of the index that are not there, of the units that are finished."""
-    for part in range(-(-found.scenes // layout.A_FOLDER)):
+    for part in range(-(-definition.scenes // layout.A_FOLDER)):
         if layout.part_path(out, part).exists():
             continue
         low = part * layout.A_FOLDER
-        index.write_part(out, part, _rows(out, found, range(low, min(low + layout.A_FOLDER, found.scenes)), log))
+        index.write_part(
+            out, part, _rows(out, definition, range(low, min(low + layout.A_FOLDER, definition.scenes)), log)
+        )
 
 
 def _rows(
-    out: Path, found: SetDefinition, numbers: Iterable[int], log: Callable[[str], None]
+    out: Path, definition: SetDefinition, numbers: Iterable[int], log: Callable[[str], None]
 ) -> Iterator[dict[str, Any]]:
-    for planned in scenes(found, numbers):
+    for planned in scenes(definition, numbers):
         stages = set[str]()
         for unit in planned.units:
-            if (made := record(out, unit)) is not None:
-                stages.add(made["stage_sha256"])
-                yield from rows(made, unit)
+            if (unit_record := record(out, unit)) is not None:
+                stages.add(unit_record["stage_sha256"])
+                yield from rows(unit_record, unit)
         if len(stages) > 1:
             log(f"scene {planned.number}: its stage or what it refers to was changed between its lightings")

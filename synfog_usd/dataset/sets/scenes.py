@@ -51,44 +51,49 @@ class PlannedScene:
         return len(self.lightings) * len(self.cameras) * len(self.fogs)
 
 
-def scenes(found: SetDefinition, only: Iterable[int] | None = None) -> Iterator[PlannedScene]:
+def scenes(definition: SetDefinition, only: Iterable[int] | None = None) -> Iterator[PlannedScene]:
     """The scenes of a set, one at a time.
 
     Args:
-        found: the set.
+        definition: the set.
         only: numbers; all of them if left out.
     """
-    deal = assignment(found)
-    for number in range(found.scenes) if only is None else only:
-        yield _scene(found, number, deal)
+    deal = assignment(definition)
+    for number in range(definition.scenes) if only is None else only:
+        yield _scene(definition, number, deal)
 
 
-def scene(found: SetDefinition, number: int) -> PlannedScene:
+def scene(definition: SetDefinition, number: int) -> PlannedScene:
     """One scene.
 
     Raises:
         SetError: the set has no such scene.
     """
-    if not 0 <= number < found.scenes:
-        raise SetError(f"{found.name}: no scene {number}; it has 0 to {found.scenes - 1}")
-    return _scene(found, number, assignment(found))
+    if not 0 <= number < definition.scenes:
+        raise SetError(f"{definition.name}: no scene {number}; it has 0 to {definition.scenes - 1}")
+    return _scene(definition, number, assignment(definition))
 
 
-def _scene(found: SetDefinition, number: int, deal: Assignment) -> PlannedScene:
-    seed = seed32(found.seed, "scene", number)
+def _scene(definition: SetDefinition, number: int, deal: Assignment) -> PlannedScene:
+    seed = seed32(definition.seed, "scene", number)
     split, source, rank = deal(number)
-    drawn = [_drawn(one, seed, "fog", index) for index, one in enumerate(found.fogs)]
-    fogs = tuple(dict.fromkeys(fog if isinstance(fog, str) else f"mor{fog:g}" for fog in drawn))
-    lights = (str(_drawn(one, seed, "lighting", index)) for index, one in enumerate(found.lightings))
+    drawn_fogs = [_drawn(distribution, seed, "fog", index) for index, distribution in enumerate(definition.fogs)]
+    fogs = tuple(dict.fromkeys(fog if isinstance(fog, str) else f"mor{fog:g}" for fog in drawn_fogs))
+    lights = (
+        str(_drawn(distribution, seed, "lighting", index)) for index, distribution in enumerate(definition.lightings)
+    )
     lightings, stage = tuple(dict.fromkeys(lights)), None
     if source.stages:
         stage = deal.stage(split, source, rank)
-        lightings, fogs = offers.chosen(found, stage, "lighting", lightings), offers.chosen(found, stage, "fog", fogs)
-    return PlannedScene(number, seed, split, source, stage, lightings or RECIPE_LIGHTINGS, fogs, found.cameras)
+        lightings, fogs = (
+            offers.chosen(definition, stage, "lighting", lightings),
+            offers.chosen(definition, stage, "fog", fogs),
+        )
+    return PlannedScene(number, seed, split, source, stage, lightings or RECIPE_LIGHTINGS, fogs, definition.cameras)
 
 
-def _drawn(one: Distribution, seed: int, *names: str | int) -> object:
-    return one.values[0] if one.kind == "fixed" else one(stream(seed, "set", *names))
+def _drawn(distribution: Distribution, seed: int, *names: str | int) -> object:
+    return distribution.values[0] if distribution.kind == "fixed" else distribution(stream(seed, "set", *names))
 
 
 def even(number: int, shares: Sequence[Fraction]) -> tuple[int, int]:
@@ -100,12 +105,12 @@ def even(number: int, shares: Sequence[Fraction]) -> tuple[int, int]:
     [0, 1, 0, 0, 1, 0]
     """
     rank, rest = number, sum(shares)
-    for index, own in enumerate(shares):
-        part = own / rest if rest else Fraction(1)
+    for index, share in enumerate(shares):
+        part = share / rest if rest else Fraction(1)
         before, after = _dealt(rank, part), _dealt(rank + 1, part)
         if after > before or index == len(shares) - 1:
             return index, before if index < len(shares) - 1 else rank
-        rank, rest = rank - before, rest - own
+        rank, rest = rank - before, rest - share
     raise AssertionError("no shares")
 
 
@@ -121,22 +126,24 @@ class Assignment:
         SetError: a split is left without a source, or a glob has fewer stages than scenes.
     """
 
-    def __init__(self, found: SetDefinition) -> None:
-        self.splits = found.splits
-        self.shares = [split.share for split in found.splits]
+    def __init__(self, definition: SetDefinition) -> None:
+        self.splits = definition.splits
+        self.shares = [split.share for split in definition.splits]
         self.sources: dict[str, list[Source]] = {}
-        for split in found.splits:
-            others = frozenset[str]().union(*(other.recipes for other in found.splits if other is not split))
-            self.sources[split.name] = [source for source in found.sources if source.name not in others]
+        for split in definition.splits:
+            held_elsewhere = frozenset[str]().union(
+                *(rival.recipes for rival in definition.splits if rival is not split)
+            )
+            self.sources[split.name] = [source for source in definition.sources if source.name not in held_elsewhere]
             if not self.sources[split.name]:
-                raise SetError(f"{found.name}: every recipe and stage is held out of the split {split.name!r}")
+                raise SetError(f"{definition.name}: every recipe and stage is held out of the split {split.name!r}")
         self.stages = {
             (split.name, source.name): files
-            for source in found.sources
+            for source in definition.sources
             for split, files in self._parted(source)
             if source.stages
         }
-        self._enough(found)
+        self._enough(definition)
 
     def __call__(self, number: int) -> tuple[Split, Source, int]:
         """Split and source of a scene, and which of its source's scenes within the split it is."""
@@ -159,11 +166,11 @@ class Assignment:
             dealt[takers[which].name].append(path)
         yield from ((split, dealt[split.name]) for split in takers)
 
-    def _enough(self, found: SetDefinition) -> None:
+    def _enough(self, definition: SetDefinition) -> None:
         if not self.stages:
             return
         needed: dict[tuple[str, str], int] = {}
-        for number in range(found.scenes):
+        for number in range(definition.scenes):
             split, source, rank = self(number)
             if source.stages:
                 needed[split.name, source.name] = rank + 1
@@ -171,21 +178,21 @@ class Assignment:
             there = len(self.stages[split_name, name])
             if count > there:
                 raise SetError(
-                    f"{found.name}: {count} scenes of the split {split_name!r} are to come from {name!r}, which has "
-                    f"{there} stages for it; ask for fewer scenes, or add recipes"
+                    f"{definition.name}: {count} scenes of the split {split_name!r} are to come from {name!r}, which "
+                    f"has {there} stages for it; ask for fewer scenes, or add recipes"
                 )
 
 
-def assignment(found: SetDefinition) -> Assignment:
+def assignment(definition: SetDefinition) -> Assignment:
     """What deals the scenes of a set out.
 
     Raises:
         SetError: it cannot be done.
     """
-    return Assignment(found)
+    return Assignment(definition)
 
 
-def held_out(found: SetDefinition, source: Source, split: Split) -> Recipe:
+def held_out(definition: SetDefinition, source: Source, split: Split) -> Recipe:
     """A recipe as one split may draw from it: without the models and skies that others hold for themselves.
 
     Raises:
@@ -195,15 +202,18 @@ def held_out(found: SetDefinition, source: Source, split: Split) -> Recipe:
     from synfog_usd.world.compose import load
 
     assert source.recipe is not None
-    recipe = load(source.recipe, found.changes)
-    gone = frozenset[str]().union(*(other.models | other.skies for other in found.splits if other is not split)) - (
-        split.models | split.skies
-    )
+    recipe = load(source.recipe, definition.changes)
+    gone = frozenset[str]().union(
+        *(rival.models | rival.skies for rival in definition.splits if rival is not split)
+    ) - (split.models | split.skies)
     if not gone:
         return recipe
 
     def kept(distributions: Mapping[str, Distribution]) -> dict[str, Distribution]:
-        return {name: _without(one, gone, f"{source.name}: {name}", split) for name, one in distributions.items()}
+        return {
+            name: _without(distribution, gone, f"{source.name}: {name}", split)
+            for name, distribution in distributions.items()
+        }
 
     return replace(
         recipe,
@@ -212,10 +222,18 @@ def held_out(found: SetDefinition, source: Source, split: Split) -> Recipe:
     )
 
 
-def _without(one: Distribution, gone: frozenset[str], what: str, split: Split) -> Distribution:
-    if one.kind != "choice" or not gone & set(one.values):
-        return one
-    left = [(value, weight) for value, weight in zip(one.values, one.weights, strict=True) if value not in gone]
-    if not left:
-        raise SetError(f"{what} has nothing left for the split {split.name!r}: {', '.join(one.values)} are held out")
-    return replace(one, values=tuple(value for value, _ in left), weights=tuple(weight for _, weight in left))
+def _without(distribution: Distribution, gone: frozenset[str], what: str, split: Split) -> Distribution:
+    if distribution.kind != "choice" or not gone & set(distribution.values):
+        return distribution
+    pairs = [
+        (value, weight)
+        for value, weight in zip(distribution.values, distribution.weights, strict=True)
+        if value not in gone
+    ]
+    if not pairs:
+        raise SetError(
+            f"{what} has nothing left for the split {split.name!r}: {', '.join(distribution.values)} are held out"
+        )
+    return replace(
+        distribution, values=tuple(value for value, _ in pairs), weights=tuple(weight for _, weight in pairs)
+    )

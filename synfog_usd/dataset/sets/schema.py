@@ -161,15 +161,17 @@ def _one(word: str, value: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "properties": {word: value}, "required": [word], "additionalProperties": False}
 
 
-def _shares(item: dict[str, Any], share: dict[str, Any], about: str, known: list[str] | None = None) -> dict[str, Any]:
+def _shares(
+    item: dict[str, Any], share: dict[str, Any], about: str, shipped_names: list[str] | None = None
+) -> dict[str, Any]:
     mapping: dict[str, Any] = {"type": "object", "minProperties": 1, "additionalProperties": share}
-    if known:
-        mapping["properties"] = dict.fromkeys(known, share)
+    if shipped_names:
+        mapping["properties"] = dict.fromkeys(shipped_names, share)
     return {"anyOf": [{"type": "array", "minItems": 1, "items": item}, mapping], "description": about}
 
 
-def _name(known: list[str]) -> dict[str, Any]:
-    return {"anyOf": [{"enum": known}, {"type": "string", "pattern": r"\.yaml$"}]}
+def _name(shipped_names: list[str]) -> dict[str, Any]:
+    return {"anyOf": [{"enum": shipped_names}, {"type": "string", "pattern": r"\.yaml$"}]}
 
 
 def _stems(folder: str, inside: str) -> list[str]:

@@ -39,24 +39,24 @@ def status(out: Path) -> Status:
     Raises:
         SetError: no set lies there.
     """
-    said = identity.read(out)
-    found, done = journal.kept_definition(out), journal.tally(out)
-    units = shots = made = 0
-    for planned in scenes(found):
+    made_of = identity.read(out)
+    definition, done = journal.kept_definition(out), journal.tally(out)
+    units = shots = count = 0
+    for planned in scenes(definition):
         units += len(planned.units)
         shots += planned.shots
-        made += sum((out / unit.folder / layout.UNIT).exists() for unit in planned.units)
+        count += sum((out / unit.folder / layout.UNIT).exists() for unit in planned.units)
     each = 1 / done.units if done.units else None
-    left = (units - made) * done.cpu_s * each if each else None
+    left_s = (units - count) * done.cpu_s * each if each else None
     aside = {name: {"error": line["error"], "seed": line["seed"]} for name, line in done.aside.items()}
     return Status(
-        name=said["name"],
-        scenes=found.scenes,
+        name=made_of["name"],
+        scenes=definition.scenes,
         units=units,
         shots=shots,
-        made=made,
-        bytes=round(made * done.bytes * each) if each else 0,
-        left_s=left,
+        made=count,
+        bytes=round(count * done.bytes * each) if each else 0,
+        left_s=left_s,
         running=journal.under_way(out),
         aside=aside,
     )

@@ -32,7 +32,7 @@ Reading = Callable[[], contextlib.AbstractContextManager[None]]
 
 
 def make(
-    found: SetDefinition,
+    definition: SetDefinition,
     out: Path,
     unit: Unit,
     *,
@@ -45,7 +45,7 @@ def make(
     """Make one unit of a set, or look that it is made.
 
     Args:
-        found: the set.
+        definition: the set.
         out: its folder.
         unit: which one.
         variant: of the renderer, see `BakePlan`.
@@ -59,11 +59,11 @@ def make(
         SetError: the set has no such unit, or a rule of hold-outs cannot be met.
         SynfogError: whatever drawing or baking raises.
     """
-    planned = scene(found, unit.number)
+    planned = scene(definition, unit.number)
     if unit not in planned.units:
         raise SetError(
-            f"{found.name}: scene {unit.number} has no lighting {unit.lighting!r} with camera "
-            f"{unit.camera or 'own'!r}; it has {', '.join(one.name for one in planned.units)}"
+            f"{definition.name}: scene {unit.number} has no lighting {unit.lighting!r} with camera "
+            f"{unit.camera or 'own'!r}; it has {', '.join(choice.name for choice in planned.units)}"
         )
     folder = out / unit.folder
     with _alone(out, unit):
@@ -71,36 +71,38 @@ def make(
         if done is not None:
             return done, False
         (folder / layout.UNIT).unlink(missing_ok=True)
-        with _drawn(found, planned, out, unit, reading) as (stage, shown):
+        with _drawn(definition, planned, out, unit, reading) as (stage, shown):
             from synfog_usd.dataset.bake import bake
 
-            plan = _plan(found, planned, unit, stage, folder, variant)
+            plan = _plan(definition, planned, unit, stage, folder, variant)
             baked = bake(plan, progress=progress, log=log, reading=reading)
-        more = _developments(found, folder, baked.manifest["shots"], planned)
-        written = _record(found, planned, unit, folder, baked.manifest, more, shown)
+        more = _developments(definition, folder, baked.manifest["shots"], planned)
+        written = _record(definition, planned, unit, folder, baked.manifest, more, shown)
         files.write_json(folder / layout.UNIT, written)
     return written, True
 
 
-def _plan(found: SetDefinition, planned: PlannedScene, unit: Unit, stage: Path, folder: Path, variant: str) -> BakePlan:
+def _plan(
+    definition: SetDefinition, planned: PlannedScene, unit: Unit, stage: Path, folder: Path, variant: str
+) -> BakePlan:
     return BakePlan(
         stage=stage,
         out=folder,
-        pipeline=found.pipelines[0],
+        pipeline=definition.pipelines[0],
         lighting=(unit.lighting,),
         fog=planned.fogs,
         camera=unit.camera or None,
-        size=found.size,
+        size=definition.size,
         seed=planned.seed,
         variant=variant,
         allow=(resources.folder("assets"),),
         by_lighting=False,
-        same_noise=found.same_noise,
-        rig=found.cameras if len(found.cameras) > 1 else (),
-        meter=found.meter,
-        meter_for=found.pipelines[1:] if _one_exposure(found) else (),
-        **found.quality,
-        **found.exposure,
+        same_noise=definition.same_noise,
+        rig=definition.cameras if len(definition.cameras) > 1 else (),
+        meter=definition.meter,
+        meter_for=definition.pipelines[1:] if _one_exposure(definition) else (),
+        **definition.quality,
+        **definition.exposure,
     )
 
 
@@ -112,12 +114,12 @@ def record(out: Path, unit: Unit) -> dict[str, Any] | None:
     """
     path = out / unit.folder / layout.UNIT
     try:
-        found = json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be read ({error}); run --repair makes it again") from error
-    return dict(found)
+    return dict(content)
 
 
 def changed(folder: Path) -> Iterator[str]:
@@ -145,9 +147,9 @@ def changed(folder: Path) -> Iterator[str]:
             yield f"{inside}: no file of the set"
 
 
-def _one_exposure(found: SetDefinition) -> bool:
+def _one_exposure(definition: SetDefinition) -> bool:
     """Whether several cameras are exposed alike."""
-    return len(found.cameras) > 1 and found.meter == TOGETHER
+    return len(definition.cameras) > 1 and definition.meter == TOGETHER
 
 
 def _whole(folder: Path) -> bool:
@@ -172,7 +174,7 @@ def _alone(out: Path, unit: Unit) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _drawn(
-    found: SetDefinition, planned: PlannedScene, out: Path, unit: Unit, reading: Reading
+    definition: SetDefinition, planned: PlannedScene, out: Path, unit: Unit, reading: Reading
 ) -> Iterator[tuple[Path, dict[str, list[str]]]]:
     """The stage of a scene, and which models and skies it shows.
 
@@ -195,13 +197,13 @@ def _drawn(
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written ({error.strerror})") from error
         with reading():
-            spec = draw(held_out(found, planned.source, planned.split), seed=planned.seed)
-            spec = replace(spec, origin={**spec.origin, "set": found.name, "scene": str(planned.number)})
+            spec = draw(held_out(definition, planned.source, planned.split), seed=planned.seed)
+            spec = replace(spec, origin={**spec.origin, "set": definition.name, "scene": str(planned.number)})
             shown = {
-                "models": sorted({one.asset for one in spec.placed}),
+                "models": sorted({placement.asset for placement in spec.placed}),
                 "skies": sorted({spec.day.sky, spec.dusk.sky}),
             }
-            _check_held_out(found, planned, shown)
+            _check_held_out(definition, planned, shown)
             path = folder / "scene.usda"
             write_layers(path, lambda place: stage.author(place, spec, assets="./assets"))
         yield path, shown
@@ -209,22 +211,23 @@ def _drawn(
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _check_held_out(found: SetDefinition, planned: PlannedScene, shown: Mapping[str, list[str]]) -> None:
+def _check_held_out(definition: SetDefinition, planned: PlannedScene, shown: Mapping[str, list[str]]) -> None:
     """What recipes place by themselves is held out too."""
-    for other in found.splits:
-        if other is planned.split:
+    for rival in definition.splits:
+        if rival is planned.split:
             continue
-        both = sorted({*shown["models"], *shown["skies"]} & (other.models | other.skies) - planned.split.models)
+        both = sorted({*shown["models"], *shown["skies"]} & (rival.models | rival.skies) - planned.split.models)
         if both:
             raise SetError(
-                f"{found.name}: scene {planned.number} of the split {planned.split.name!r} shows {', '.join(both)}, "
-                f"held out for {other.name!r}: the recipe {planned.source.name!r} places it without a choice; hold the "
+                f"{definition.name}: scene {planned.number} of the split {planned.split.name!r} shows "
+                f"{', '.join(both)}, held out for {rival.name!r}: "
+                f"the recipe {planned.source.name!r} places it without a choice; hold the "
                 f"recipe out too"
             )
 
 
 def _developments(
-    found: SetDefinition, folder: Path, shots: list[dict[str, Any]], planned: PlannedScene
+    definition: SetDefinition, folder: Path, shots: list[dict[str, Any]], planned: PlannedScene
 ) -> dict[str, dict[str, Any]]:
     """What else is made of the radiance: name -> shot -> exposure and outputs.
 
@@ -232,15 +235,15 @@ def _developments(
     scattering model, L = J t + A (1 - t), with the exact transmittance t and an airlight A that is guessed from the
     picture, see `fog.airlight`.
     """
-    made = {}
-    for path in found.pipelines:
-        if path is not found.pipelines[0]:
-            made[path.stem] = _developed(found, path, path.stem, folder, shots, planned, _radiance)
-        if path.stem in found.asm_estimated:
+    result = {}
+    for path in definition.pipelines:
+        if path is not definition.pipelines[0]:
+            result[path.stem] = _developed(definition, path, path.stem, folder, shots, planned, _radiance)
+        if path.stem in definition.asm_estimated:
             name = f"asm_estimated.{path.stem}"
             foggy = [row for row in shots if row["fog"] != CLEAR]
-            made[name] = _developed(found, path, name, folder, foggy, planned, _guessed)
-    return made
+            result[name] = _developed(definition, path, name, folder, foggy, planned, _guessed)
+    return result
 
 
 def _radiance(folder: Path, shot: str) -> Image:
@@ -263,7 +266,7 @@ def _guessed(folder: Path, shot: str) -> Image:
 
 
 def _developed(
-    found: SetDefinition,
+    definition: SetDefinition,
     pipeline: Path,
     name: str,
     folder: Path,
@@ -275,33 +278,37 @@ def _developed(
     from synfog_usd import camera
     from synfog_usd.camera import writers
 
-    graph = exposed(camera.load_graph(pipeline), found.exposure)
-    (wanted,) = graph.inputs
+    graph = exposed(camera.load_graph(pipeline), definition.exposure)
+    (name_of_input,) = graph.inputs
     exposure = None
-    if shots and _one_exposure(found):
-        told = shots[0].get("further_exposures", {}).get(pipeline.stem) or shots[0]["exposure"]
-        exposure = camera.Exposure(told["exposure_s"], told["iso"]) if camera.exposure_left_open(graph) else None
+    if shots and _one_exposure(definition):
+        exposure_row = shots[0].get("further_exposures", {}).get(pipeline.stem) or shots[0]["exposure"]
+        exposure = (
+            camera.Exposure(exposure_row["exposure_s"], exposure_row["iso"])
+            if camera.exposure_left_open(graph)
+            else None
+        )
     elif shots:
-        clear = {wanted: _radiance(folder, CLEAR)}
-        exposure = camera.metered(graph, clear, compensation_ev=found.exposure.get("ev", 0.0))
-    made = {}
+        clear = {name_of_input: _radiance(folder, CLEAR)}
+        exposure = camera.metered(graph, clear, compensation_ev=definition.exposure.get("ev", 0.0))
+    result = {}
     for row in shots:
         shot = row["folder"]
-        picture = {wanted: radiance(folder, shot)}
-        seed = noise_seed(planned.seed, row["lighting"], row["fog"], same_noise=found.same_noise)
-        kept = list(graph.outputs.values())
-        results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=kept)
+        picture = {name_of_input: radiance(folder, shot)}
+        seed = noise_seed(planned.seed, row["lighting"], row["fog"], same_noise=definition.same_noise)
+        names = list(graph.outputs.values())
+        results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=names)
         for output, node in graph.outputs.items():
             writers.write_output(output, results[node], folder / shot / name, options=graph.options_of(output))
-        made[shot] = {
+        result[shot] = {
             "exposure": {"exposure_s": exposure.exposure_s, "iso": exposure.iso} if exposure else None,
             "outputs": sorted(graph.outputs),
         }
-    return made
+    return result
 
 
 def _record(
-    found: SetDefinition,
+    definition: SetDefinition,
     planned: PlannedScene,
     unit: Unit,
     folder: Path,
@@ -311,7 +318,7 @@ def _record(
 ) -> dict[str, Any]:
     from synfog_usd import camera
 
-    first = found.pipelines[0]
+    first = definition.pipelines[0]
     outputs = sorted(camera.load_graph(first).outputs)
     shots = []
     for row in manifest["shots"]:
@@ -325,9 +332,9 @@ def _record(
                 "pictures": {
                     first.stem: {"folder": place, "outputs": outputs, "exposure": row["exposure"]},
                     **{
-                        name: {"folder": f"{place}/{name}", **made[place]}
-                        for name, made in more.items()
-                        if place in made
+                        name: {"folder": f"{place}/{name}", **development[place]}
+                        for name, development in more.items()
+                        if place in development
                     },
                 },
             }
@@ -348,10 +355,10 @@ def _record(
     }
 
 
-def rows(found: Mapping[str, Any], unit: Unit) -> Iterator[dict[str, Any]]:
+def rows(content: Mapping[str, Any], unit: Unit) -> Iterator[dict[str, Any]]:
     """The rows of the index for a unit, from its `unit.json`."""
-    same = {name: found[name] for name in ("scene", "split", "source", "seed", "lighting", "camera")}
-    for shot in found["shots"]:
+    same = {name: content[name] for name in ("scene", "split", "source", "seed", "lighting", "camera")}
+    for shot in content["shots"]:
         for pipeline, picture in shot["pictures"].items():
             yield {
                 **same,

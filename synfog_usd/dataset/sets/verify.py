@@ -73,8 +73,8 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Fault]:
                 if not (out / unit.folder / layout.UNIT).exists():
                     yield Fault(unit.name, "is not made", missing=True)
                     continue
-                made = _made(out, unit)
-                rows_of.setdefault(part, []).extend(rows(made, unit) if made else ())
+                unit_record = _made(out, unit)
+                rows_of.setdefault(part, []).extend(rows(unit_record, unit) if unit_record else ())
                 waiting.append((unit, pool.submit(_of_unit, out, unit)))
                 if len(waiting) > AHEAD * cores():
                     yield from next_result()
@@ -118,12 +118,12 @@ def disagreements(folder: Path) -> Iterator[str]:
     and transmittance between 0 and 1.
     """
     try:
-        made = json.loads((folder / layout.UNIT).read_bytes())
+        unit_record = json.loads((folder / layout.UNIT).read_bytes())
         listed = json.loads((folder / "labels.json").read_bytes())["instances"]
-        seen = writers.read_exr(folder / "labels.exr", quantity=image.Quantity.DATA)
-        ids = seen.pixels[:, :, seen.channels.index("instance.ID")].astype(np.int64)
+        image_of_labels = writers.read_exr(folder / "labels.exr", quantity=image.Quantity.DATA)
+        ids = image_of_labels.pixels[:, :, image_of_labels.channels.index("instance.ID")].astype(np.int64)
         yield from _labels(ids, listed)
-        for shot in made["shots"]:
+        for shot in unit_record["shots"]:
             yield from _shot(folder / shot["folder"], shot, ids.shape)
             for name, picture in shot["pictures"].items():
                 yield from _pictures(folder / picture["folder"], name, picture["outputs"], shot["size_px"])
@@ -133,10 +133,10 @@ def disagreements(folder: Path) -> Iterator[str]:
 
 def _labels(ids: np.ndarray, listed: list[Mapping[str, Any]]) -> Iterator[str]:
     counted = dict(zip(*(part.tolist() for part in np.unique(ids[ids > 0], return_counts=True)), strict=True))
-    told = {row["id"]: row for row in listed}
-    if unknown := sorted(set(counted) - set(told)):
+    by_id = {row["id"]: row for row in listed}
+    if unknown := sorted(set(counted) - set(by_id)):
         yield f"labels.exr shows instances that labels.json does not list: {unknown[:5]}"
-    for number, row in told.items():
+    for number, row in by_id.items():
         if row["pixels"] != counted.get(number, 0):
             yield f"labels.json gives instance {number} {row['pixels']} pixels, labels.exr {counted.get(number, 0)}"
         elif row["pixels"]:

@@ -97,7 +97,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
     place = _place() if job.place is None else job.place
     if job.gpus:
         environment["CUDA_VISIBLE_DEVICES"] = job.gpus[place % len(job.gpus)]
-    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as wrong:
+    with tempfile.TemporaryFile() as answer_file, tempfile.TemporaryFile() as wrong:
         with _beginning:
             if _closing:
                 return _failed("killed", "the run ends")
@@ -105,7 +105,7 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
                 isolated.command(*words),
                 env={**environment, child.mark: str(os.getpid())},
                 stdin=subprocess.DEVNULL,
-                stdout=told,
+                stdout=answer_file,
                 stderr=wrong,
                 **system.apart(),
             )
@@ -121,11 +121,11 @@ def _made(job: Job, child: Child) -> dict[str, Any]:
                 process.wait()
             with _beginning:
                 _children.discard(process)
-        told.seek(0)
+        answer_file.seek(0)
         wrong.seek(max(0, wrong.seek(0, os.SEEK_END) - TOLD))
         last_words = wrong.read().decode(errors="replace").strip()
         with contextlib.suppress(ValueError):
-            return dict(json.loads(told.read().decode(errors="replace").strip().rpartition("\n")[2]))
+            return dict(json.loads(answer_file.read().decode(errors="replace").strip().rpartition("\n")[2]))
     if code < 0:
         return _failed("killed", "its process died of {}: {}".format(*system.cause(code)))
     if last_words.startswith("Traceback") or "\n  File " in last_words:
@@ -150,12 +150,12 @@ def ending_children(workers: contextlib.AbstractContextManager[Any]) -> Iterator
         _closing = False
 
 
-def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
+def told(work: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
     """In the child: what to print of a unit, and the exit code."""
     from synfog_usd.base.errors import OutputError, SynfogError
 
     try:
-        found, fresh = made()
+        result, fresh = work()
     except OSError as error:  # of the place, not of the unit: a disk that is read-only, a file in the way
         place = f"{error.filename}: cannot be used ({error.strerror})"
         return {"ok": False, "error": place, "kind": OutputError.__name__}, OutputError.exit_code
@@ -165,8 +165,8 @@ def told(made: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any
     return {
         "ok": True,
         "made": fresh,
-        "bytes": sum(size for size, _ in found["files"].values()),
-        "shots": len(found["shots"]),
+        "bytes": sum(size for size, _ in result["files"].values()),
+        "shots": len(result["shots"]),
         "peak_mb": round(peak_mb),
         "cpu_s": round(cpu_s, 2),
     }, 0
