@@ -219,10 +219,10 @@ def _ask(
     return len(missing)
 
 
-def _hopeless(row: Sequence[str], known: dict[str, Row]) -> bool:
+def _hopeless(row: Sequence[str], rows: dict[str, Row]) -> bool:
     """Whether a method failed on the first pictures, and answered none."""
-    return all(place in known for place in row[:GIVE_UP]) and all(
-        "error" in known[place] for place in row if place in known
+    return all(place in rows for place in row[:GIVE_UP]) and all(
+        "error" in rows[place] for place in row if place in rows
     )
 
 
@@ -265,13 +265,11 @@ def _side_by_side(
             future.cancel()
 
 
-def _keep(path: Path, known: dict[str, Row], order: Sequence[str] = ()) -> None:
+def _keep(path: Path, rows: dict[str, Row], order: Sequence[str] = ()) -> None:
     """A line for each answer: those of other runs, then those of this one in order."""
     mine = set(order)
-    places = [place for place in known if place not in mine] + [
-        place for place in dict.fromkeys(order) if place in known
-    ]
-    lines = ",\n".join(f"{json.dumps(place)}: {json.dumps(known[place], allow_nan=False)}" for place in places)
+    places = [place for place in rows if place not in mine] + [place for place in dict.fromkeys(order) if place in rows]
+    lines = ",\n".join(f"{json.dumps(place)}: {json.dumps(rows[place], allow_nan=False)}" for place in places)
     files.write_bytes(path, f"{{\n{lines}\n}}\n".encode())
 
 

@@ -38,8 +38,8 @@ def main() -> None:
     """Answer until standard input ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print does not stand among the answers
-    said = json.loads(sys.stdin.readline())
-    method = KINDS[said.pop("does")](**said)
+    request = json.loads(sys.stdin.readline())
+    method = KINDS[request.pop("does")](**request)
     with contextlib.suppress(ImportError):  # Windows has no such limit
         import resource
 
@@ -57,8 +57,8 @@ def main() -> None:
                 work(*(Path(task[word]) for word in ("in", "out", "truth") if word in task))
             answer: dict[str, Any] = {"seconds": time.process_time() - began}
         except Exception as error:
-            told = str(error) if isinstance(error, SynfogError) else f"{type(error).__name__}: {error}"
-            answer = {"error": " ".join(told.split())[:300]}
+            reason = str(error) if isinstance(error, SynfogError) else f"{type(error).__name__}: {error}"
+            answer = {"error": " ".join(reason.split())[:300]}
         print(json.dumps(answer), file=answers, flush=True)
 
 
@@ -100,8 +100,8 @@ def _loaded(method: Method) -> Work:
     if isinstance(method, Detector):
         find = decode.detector(method, _session(method))
 
-        def boxes(taken: Path, out: Path) -> None:
-            _tell(out, find(read(taken)))
+        def boxes(source: Path, out: Path) -> None:
+            _tell(out, find(read(source)))
 
         return boxes
     if isinstance(method, Measurer):
@@ -126,22 +126,22 @@ def _session(method: Method) -> Any:
 
 def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
     raw = method.takes != PNG
-    planes, scale, wanted = (
+    planes, scale, layout = (
         (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
     )
-    ask, sides = _torch_module(method) if method.kind == "torch" else _onnx_network(method, planes, wanted)
+    ask, sides = _torch_module(method) if method.kind == "torch" else _onnx_network(method, planes, layout)
     low, high = method.range
 
-    def restore(taken: Path) -> np.ndarray:
+    def restore(source: Path) -> np.ndarray:
         if raw:
-            given = filter_planes(taken)
+            planes_of_source = filter_planes(source)
         else:
-            given = read(taken).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
-        height, width = given.shape[1:]
+            planes_of_source = read(source).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
+        height, width = planes_of_source.shape[1:]
         down, right = (-height) % method.multiple, (-width) % method.multiple
-        padded = np.pad(given, ((0, 0), (0, down), (0, right)), mode="symmetric")
-        for side, found in zip(sides, padded.shape[1:], strict=True):
-            if isinstance(side, int) and side != found:
+        padded = np.pad(planes_of_source, ((0, 0), (0, down), (0, right)), mode="symmetric")
+        for side, side_found in zip(sides, padded.shape[1:], strict=True):
+            if isinstance(side, int) and side != side_found:
                 raise ValueError(
                     f"the network wants pictures of {sides[1]} x {sides[0]}, and this one has {width} x {height}; "
                     f"export it with free height and width"
@@ -155,13 +155,13 @@ def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
     return restore
 
 
-def _onnx_network(method: Defogger, planes: int, wanted: str) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
+def _onnx_network(method: Defogger, planes: int, layout: str) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
     """What asks it, and its height and width: numbers where it has fixed ones."""
     session = _session(method)
     inputs, outputs = session.get_inputs(), session.get_outputs()
     shape = inputs[0].shape
     if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
-        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {wanted}")
+        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {layout}")
     return lambda given: session.run([outputs[0].name], {inputs[0].name: given})[0], (shape[2], shape[3])
 
 
@@ -184,9 +184,9 @@ def _torch_module(method: Defogger) -> tuple[Callable[[np.ndarray], Any], tuple[
                 f"weights alone (state_dict) do not say what the network computes"
             ) from error
 
-    def ask(given: np.ndarray) -> Any:
+    def ask(batch: np.ndarray) -> Any:
         with torch.inference_mode():
-            answer = module(torch.from_numpy(np.ascontiguousarray(given)))
+            answer = module(torch.from_numpy(np.ascontiguousarray(batch)))
         if not isinstance(answer, torch.Tensor):
             raise ValueError(f"the module gave a {type(answer).__name__}, and not a tensor")
         return answer.numpy()
@@ -198,8 +198,8 @@ def _run(method: Method, task: dict[str, str]) -> None:
     words = [word.replace("{in}", task["in"]).replace("{out}", task["out"]) for word in method.command]
     done = subprocess.run(words, cwd=method.target, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode != 0:
-        told = (done.stderr or done.stdout).strip().splitlines()
-        raise RuntimeError(f"ended with {done.returncode}: {told[-1] if told else 'it said nothing'}")
+        output = (done.stderr or done.stdout).strip().splitlines()
+        raise RuntimeError(f"ended with {done.returncode}: {output[-1] if output else 'it said nothing'}")
     if not Path(task["out"]).is_file():
         raise RuntimeError(f"it wrote no {method.suffix[1:].upper()}")
 

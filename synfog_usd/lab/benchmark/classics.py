@@ -111,13 +111,13 @@ def _median(values: Array, window_px: int) -> Array:
     Medians know order alone, so they are taken of places among the values that occur.  A picture of 8 bits has few of
     those, and numpy partitions short integers with vector instructions.
     """
-    known, place = np.unique(values, return_inverse=True)
-    short = np.uint16 if known.size <= 2**16 else np.uint32
+    levels, place = np.unique(values, return_inverse=True)
+    short = np.uint16 if levels.size <= 2**16 else np.uint32
     padded = np.pad(place.reshape(values.shape).astype(short), window_px // 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (window_px, window_px))
     half = window_px**2 // 2
     lines = [np.partition(line.reshape(-1, window_px**2), half, axis=1)[:, half] for line in windows]
-    return np.asarray(known[np.stack(lines)])
+    return np.asarray(levels[np.stack(lines)])
 
 
 def _dark(picture: Array, patch_px: int) -> Array:

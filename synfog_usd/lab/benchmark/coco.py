@@ -98,12 +98,12 @@ class Matched:
     found: Flags
 
 
-def match(pictures: int, true: Sequence[TrueBox], found: Sequence[FoundBox], ranges: Sequence[Range]) -> Matched:
+def match(pictures: int, true: Sequence[TrueBox], guesses: Sequence[FoundBox], ranges: Sequence[Range]) -> Matched:
     """Match boxes with things, class by class.
 
     Args:
         pictures: how many there are.
-        true, found: in any order.
+        true, guesses: in any order.
         ranges: of `number`, ends included; the first should be `EVERYTHING`.
 
     Raises:
@@ -114,32 +114,32 @@ def match(pictures: int, true: Sequence[TrueBox], found: Sequence[FoundBox], ran
         from pycocotools.cocoeval import COCOeval
     except ImportError as error:
         raise ParameterError("detectors are measured by pycocotools: pip install pycocotools") from error
-    kinds = sorted({one.kind for one in (*true, *found)})
+    kinds = sorted({box.kind for box in (*true, *guesses)})
 
     def dataset(rows: list[dict[str, Any]]) -> Any:
-        made = COCO()
-        made.dataset = {
+        coco = COCO()
+        coco.dataset = {
             "images": [{"id": number} for number in range(pictures)],
             "categories": [{"id": kind} for kind in kinds],
             "annotations": rows,
         }
-        made.createIndex()
-        return made
+        coco.createIndex()
+        return coco
 
-    things = [
-        {**_annotation(n, one), "iscrowd": int(one.ignored)}
-        for n, one in enumerate(true, start=1)  # pycocotools takes 0 for no match
+    counts = [
+        {**_annotation(n, box), "iscrowd": int(box.ignored)}
+        for n, box in enumerate(true, start=1)  # pycocotools takes 0 for no match
     ]
-    boxes = [{**_annotation(n, one), "iscrowd": 0, "score": one.score} for n, one in enumerate(found, start=1)]
+    boxes = [{**_annotation(n, box), "iscrowd": 0, "score": box.score} for n, box in enumerate(guesses, start=1)]
     with contextlib.redirect_stdout(io.StringIO()):
-        evaluation = COCOeval(dataset(things), dataset(boxes), "bbox")
+        evaluation = COCOeval(dataset(counts), dataset(boxes), "bbox")
         evaluation.params.imgIds, evaluation.params.catIds = list(range(pictures)), kinds
         evaluation.params.iouThrs, evaluation.params.maxDets = OVERLAPS, [MOST]
-        evaluation.params.areaRng = [list(one) for one in ranges]
+        evaluation.params.areaRng = [list(box) for box in ranges]
         evaluation.params.areaRngLbl = [str(n) for n in range(len(ranges))]
         evaluation.evaluate()
     rows = iter(evaluation.evalImgs)
-    seen = np.zeros((len(OVERLAPS), len(true)), dtype=bool)
+    used = np.zeros((len(OVERLAPS), len(true)), dtype=bool)
     groups: list[list[MatchedKind]] = [[] for _ in ranges]
     for _ in kinds:
         for place in range(len(ranges)):
@@ -147,13 +147,13 @@ def match(pictures: int, true: Sequence[TrueBox], found: Sequence[FoundBox], ran
             groups[place].append(_of_kind(of_kind))
             for row in of_kind if place == 0 else ():
                 if row is not None:
-                    seen[:, np.array(row["gtIds"], dtype=int) - 1] = np.asarray(row["gtMatches"]) > 0
-    return Matched(groups, seen)
+                    used[:, np.array(row["gtIds"], dtype=int) - 1] = np.asarray(row["gtMatches"]) > 0
+    return Matched(groups, used)
 
 
-def _annotation(number: int, one: TrueBox | FoundBox) -> dict[str, Any]:
-    box = [float(part) for part in one.box]
-    return {"id": number, "image_id": one.picture, "category_id": one.kind, "bbox": box, "area": one.number}
+def _annotation(number: int, source: TrueBox | FoundBox) -> dict[str, Any]:
+    box = [float(part) for part in source.box]
+    return {"id": number, "image_id": source.picture, "category_id": source.kind, "bbox": box, "area": source.number}
 
 
 def _of_kind(rows: Sequence[Any]) -> MatchedKind:
@@ -162,11 +162,11 @@ def _of_kind(rows: Sequence[Any]) -> MatchedKind:
     scores = [np.zeros(0) if row is None else np.asarray(row["dtScores"], dtype=np.float64) for row in rows]
     hits = [none if row is None else np.asarray(row["dtMatches"]) > 0 for row in rows]
     ignored = [none if row is None else np.asarray(row["dtIgnore"], dtype=bool) for row in rows]
-    things = [0 if row is None else int((np.asarray(row["gtIgnore"]) == 0).sum()) for row in rows]
-    picture = np.repeat(np.arange(len(rows)), [len(one) for one in scores])
+    counts = [0 if row is None else int((np.asarray(row["gtIgnore"]) == 0).sum()) for row in rows]
+    picture = np.repeat(np.arange(len(rows)), [len(scores_of_picture) for scores_of_picture in scores])
     order = np.argsort(-np.concatenate(scores), kind="mergesort")
     hit, out = np.concatenate(hits, axis=1)[:, order], np.concatenate(ignored, axis=1)[:, order]
-    return MatchedKind(picture[order], hit & ~out, ~hit & ~out, np.array(things))
+    return MatchedKind(picture[order], hit & ~out, ~hit & ~out, np.array(counts))
 
 
 def precision(group: Sequence[MatchedKind], weights: Array) -> Array:
@@ -179,17 +179,17 @@ def precision(group: Sequence[MatchedKind], weights: Array) -> Array:
     Returns:
         (R, T) by overlap; nan where nothing is there.
     """
-    return mean_over_kinds([_precision(one, weights) for one in group] or [_nothing(weights)])
+    return mean_over_kinds([_precision(matched, weights) for matched in group] or [_nothing(weights)])
 
 
 def recall(group: Sequence[MatchedKind], weights: Array) -> Array:
     """(R, T) share of things that is found, the mean over classes; see `precision`."""
-    found = []
-    for one in group:
-        things = weights @ one.things
+    shares = []
+    for matched in group:
+        counts = weights @ matched.things
         with np.errstate(invalid="ignore", divide="ignore"):
-            found.append((weights[:, one.picture] @ one.right.T.astype(np.float64)) / things[:, None])
-    return mean_over_kinds(found or [_nothing(weights)])
+            shares.append((weights[:, matched.picture] @ matched.right.T.astype(np.float64)) / counts[:, None])
+    return mean_over_kinds(shares or [_nothing(weights)])
 
 
 def mean_over_kinds(values: Sequence[Array] | Array) -> Array:
@@ -204,22 +204,22 @@ def _nothing(weights: Array) -> Array:
     return np.full((len(weights), len(OVERLAPS)), np.nan)
 
 
-def _precision(one: MatchedKind, weights: Array) -> Array:
+def _precision(matched: MatchedKind, weights: Array) -> Array:
     """(R, T), by 101 recalls as COCO has it."""
-    found = _nothing(weights)
-    things = weights @ one.things
-    draws = np.flatnonzero(things > 0.0)
-    boxes = np.flatnonzero(weights.any(axis=0)[one.picture])
-    often = weights[draws][:, one.picture[boxes]]
+    curve = _nothing(weights)
+    counts = weights @ matched.things
+    draws = np.flatnonzero(counts > 0.0)
+    boxes = np.flatnonzero(weights.any(axis=0)[matched.picture])
+    often = weights[draws][:, matched.picture[boxes]]
     apart = 2.0 * np.arange(len(draws))[:, None]  # draws one behind the other, so that one search serves all
     for overlap in range(len(OVERLAPS)):
-        right = np.cumsum(often * one.right[overlap, boxes], axis=1)
-        wrong = np.cumsum(often * one.wrong[overlap, boxes], axis=1)
+        right = np.cumsum(often * matched.right[overlap, boxes], axis=1)
+        wrong = np.cumsum(often * matched.wrong[overlap, boxes], axis=1)
         share = right / np.maximum(right + wrong, 1e-12)
         highest = np.maximum.accumulate(share[:, ::-1], axis=1)[:, ::-1]
-        reached = (right / things[draws, None] + apart).ravel()
+        reached = (right / counts[draws, None] + apart).ravel()
         place = np.searchsorted(reached, (RECALLS + apart).ravel()).reshape(len(draws), len(RECALLS))
         place -= boxes.size * np.arange(len(draws))[:, None]
         padded = np.pad(highest, ((0, 0), (0, 1)))
-        found[draws, overlap] = np.take_along_axis(padded, place, axis=1).mean(axis=1)
-    return found
+        curve[draws, overlap] = np.take_along_axis(padded, place, axis=1).mean(axis=1)
+    return curve

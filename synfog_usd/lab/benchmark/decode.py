@@ -46,7 +46,7 @@ def detector(method: Detector, session: Any) -> Callable[[np.ndarray], list[list
         ValueError: the network takes no picture.  What it returns raises it where outputs are not of the layout, or not
             finite.
     """
-    inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
+    inputs, outputs = session.get_inputs(), [output.name for output in session.get_outputs()]
     shape = list(inputs[0].shape)
     if len(shape) not in (3, 4) or (isinstance(shape[-3], int) and shape[-3] != 3):
         raise ValueError(
@@ -63,13 +63,13 @@ def detector(method: Detector, session: Any) -> Callable[[np.ndarray], list[list
         raise ValueError(f"the network takes {inputs[0].type}; float, float16 and uint8 are known")
 
     def find(picture: np.ndarray) -> list[list[float]]:
-        given, scale, offset = fitted(picture, fixed or tuple(method.size), letterbox=method.letterbox)
-        pixels = given if kind == np.uint8 else (given / 255.0 - method.mean) / method.std
+        tensor, scale, offset = fitted(picture, fixed or tuple(method.size), letterbox=method.letterbox)
+        pixels = tensor if kind == np.uint8 else (tensor / 255.0 - method.mean) / method.std
         if method.order == "bgr":
             pixels = pixels[..., ::-1]
         batch = np.ascontiguousarray(pixels.transpose(2, 0, 1).astype(kind))
         feed = {inputs[0].name: batch if len(shape) == 3 else batch[None]}
-        height, width = given.shape[:2]
+        height, width = tensor.shape[:2]
         for more in inputs[1:]:  # RT-DETR asks for the size in whose pixels it is to answer
             feed[more.name] = np.array([[width, height]], dtype=np.int64)
         answers = dict(zip(outputs, map(np.asarray, session.run(outputs, feed)), strict=True))
@@ -80,9 +80,9 @@ def detector(method: Detector, session: Any) -> Callable[[np.ndarray], list[list
         limit = np.tile([picture.shape[1], picture.shape[0]], 2)
         boxes = np.clip(boxes, 0.0, limit)
         boxes[:, 2:] -= boxes[:, :2]
-        kept = _best(boxes, scores, labels, method)
+        best = _best(boxes, scores, labels, method)
         return [
-            [*(round(float(part), 2) for part in boxes[n]), float(f"{scores[n]:.6g}"), int(labels[n])] for n in kept
+            [*(round(float(part), 2) for part in boxes[n]), float(f"{scores[n]:.6g}"), int(labels[n])] for n in best
         ]
 
     return find
@@ -114,25 +114,25 @@ def fitted(picture: np.ndarray, size: tuple[int, ...], *, letterbox: bool) -> tu
         inner = (size[0], size[1])
     if inner != (wide, high):
         picture = np.asarray(Image.fromarray(picture).resize(inner, Image.Resampling.BILINEAR))
-    left, top = (size[0] - inner[0]) // 2, (size[1] - inner[1]) // 2
+    left_px, top = (size[0] - inner[0]) // 2, (size[1] - inner[1]) // 2
     whole = np.full((size[1], size[0], 3), GREY, dtype=np.uint8)
-    whole[top : top + inner[1], left : left + inner[0]] = picture
-    return whole, np.array([inner[0] / wide, inner[1] / high]), np.array([left, top], dtype=np.float64)
+    whole[top : top + inner[1], left_px : left_px + inner[0]] = picture
+    return whole, np.array([inner[0] / wide, inner[1] / high]), np.array([left_px, top], dtype=np.float64)
 
 
 def _yolov5(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, int]) -> Boxes:
-    found = _only(method, answers)
-    if found.ndim != 3 or found.shape[2] < 6:
+    answer = _only(method, answers)
+    if answer.ndim != 3 or answer.shape[2] < 6:
         raise _unlike(method, answers, "(1, N, 5 + classes)")
-    table = found[0].astype(np.float64)
+    table = answer[0].astype(np.float64)
     return _thinned(method, _corners(table[:, :4]), table[:, 5:] * table[:, 4:5], answers)
 
 
 def _yolov8(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, int]) -> Boxes:
-    found = _only(method, answers)
-    if found.ndim != 3 or found.shape[1] < 5:
+    answer = _only(method, answers)
+    if answer.ndim != 3 or answer.shape[1] < 5:
         raise _unlike(method, answers, "(1, 4 + classes, N)")
-    table = found[0].T.astype(np.float64)
+    table = answer[0].T.astype(np.float64)
     return _thinned(method, _corners(table[:, :4]), table[:, 4:], answers)
 
 
@@ -168,18 +168,18 @@ def _listed(method: Detector, answers: dict[str, np.ndarray]) -> Boxes:
             raise _unlike(method, answers, "(N, 6): corners, score and class")
         return table[:, :4], table[:, 4], np.rint(table[:, 5]).astype(np.int64)
     named = dict(method.outputs)
-    left = {name: found for name, found in answers.items() if name not in named.values()}
-    for what, wanted in (
+    unnamed = {name: answer for name, answer in answers.items() if name not in named.values()}
+    for what, wished in (
         ("boxes", lambda one: one.ndim >= 2 and one.shape[-1] == 4),
         ("labels", lambda one: np.issubdtype(one.dtype, np.integer)),
         ("scores", lambda one: one.dtype.kind == "f"),
     ):
         if what not in named:
-            name = next((name for name, found in left.items() if wanted(found)), None)
+            name = next((name for name, answer in unnamed.items() if wished(answer)), None)
             if name is None:
                 raise _unlike(method, answers, "boxes (N, 4), scores (N,) and labels (N,)")
             named[what] = name
-            del left[name]
+            del unnamed[name]
     if missing := next((name for name in named.values() if name not in answers), None):
         raise ValueError(f"the network has no output {missing!r}; it has {', '.join(answers)}")
     boxes, scores, labels = _flat(answers[named["boxes"]], 2), answers[named["scores"]], answers[named["labels"]]
@@ -205,9 +205,9 @@ def _only(method: Detector, answers: dict[str, np.ndarray]) -> np.ndarray:
     return answers[name]
 
 
-def _flat(found: np.ndarray, axes: int) -> np.ndarray:
+def _flat(answer: np.ndarray, axes: int) -> np.ndarray:
     """Without a batch of one."""
-    return found[0] if found.ndim == axes + 1 and found.shape[0] == 1 else found
+    return answer[0] if answer.ndim == axes + 1 and answer.shape[0] == 1 else answer
 
 
 def _boxes_and(method: Detector, answers: dict[str, np.ndarray], size: tuple[int, int]) -> tuple[Array, Array]:
@@ -235,17 +235,17 @@ def _corners(boxes: Array) -> Array:
     return np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
 
 
-def _check_classes(method: Detector, found: int, answers: dict[str, np.ndarray]) -> None:
+def _check_classes(method: Detector, count: int, answers: dict[str, np.ndarray]) -> None:
     highest = max(place for place, _ in method.classes)
-    if method.count and found != method.count:
-        raise _unlike(method, answers, f"{method.count} classes, as classes says; {found} were found")
-    if highest >= found:
-        raise _unlike(method, answers, f"a class {highest}, which classes names; {found} were found")
+    if method.count and count != method.count:
+        raise _unlike(method, answers, f"{method.count} classes, as classes says; {count} were found")
+    if highest >= count:
+        raise _unlike(method, answers, f"a class {highest}, which classes names; {count} were found")
 
 
-def _unlike(method: Detector, answers: dict[str, np.ndarray], wanted: str) -> ValueError:
-    shapes = ", ".join(f"{name} {found.shape}" for name, found in answers.items())
-    return ValueError(f"the network gave {shapes}; the layout {method.layout} has {wanted}")
+def _unlike(method: Detector, answers: dict[str, np.ndarray], expected: str) -> ValueError:
+    shapes = ", ".join(f"{name} {answer.shape}" for name, answer in answers.items())
+    return ValueError(f"the network gave {shapes}; the layout {method.layout} has {expected}")
 
 
 def _thinned(method: Detector, boxes: Array, scores: Array, answers: dict[str, np.ndarray]) -> Boxes:
@@ -258,13 +258,13 @@ def _thinned(method: Detector, boxes: Array, scores: Array, answers: dict[str, n
     _check_classes(method, scores.shape[1], answers)
     if not (np.isfinite(boxes).all() and np.isfinite(scores).all()):
         raise ValueError("the answer holds NaN or infinity")
-    kept: list[tuple[np.ndarray, int]] = []
+    chosen_rows: list[tuple[np.ndarray, int]] = []
     for place, _ in method.classes:
-        own = np.flatnonzero(scores[:, place] >= method.score)
-        own = own[np.argsort(-scores[own, place], kind="stable")][:CANDIDATES]
-        kept.append((own[suppressed(boxes[own], method.nms)], place))
-    rows = np.concatenate([own for own, _ in kept])
-    labels = np.concatenate([np.full(len(own), place) for own, place in kept])
+        above = np.flatnonzero(scores[:, place] >= method.score)
+        above = above[np.argsort(-scores[above, place], kind="stable")][:CANDIDATES]
+        chosen_rows.append((above[suppressed(boxes[above], method.nms)], place))
+    rows = np.concatenate([above for above, _ in chosen_rows])
+    labels = np.concatenate([np.full(len(above), place) for above, place in chosen_rows])
     return boxes[rows], scores[rows, labels], labels
 
 
@@ -274,21 +274,21 @@ def suppressed(boxes: Array, most: float) -> np.ndarray:
     A box goes where its intersection over union with a better one that stayed is over `most`.
     """
     area = np.prod(np.maximum(boxes[:, 2:] - boxes[:, :2], 0.0), axis=1)
-    left, kept = np.arange(len(boxes)), []
-    while left.size and len(kept) < MOST:
-        best, left = left[0], left[1:]
-        kept.append(best)
-        corner = np.minimum(boxes[left, 2:], boxes[best, 2:]) - np.maximum(boxes[left, :2], boxes[best, :2])
+    waiting, survivors = np.arange(len(boxes)), []
+    while waiting.size and len(survivors) < MOST:
+        best, waiting = waiting[0], waiting[1:]
+        survivors.append(best)
+        corner = np.minimum(boxes[waiting, 2:], boxes[best, 2:]) - np.maximum(boxes[waiting, :2], boxes[best, :2])
         both = np.prod(np.maximum(corner, 0.0), axis=1)
-        left = left[both <= most * np.maximum(area[left] + area[best] - both, 1e-12)]
-    return np.array(kept, dtype=np.int64)
+        waiting = waiting[both <= most * np.maximum(area[waiting] + area[best] - both, 1e-12)]
+    return np.array(survivors, dtype=np.int64)
 
 
 def _best(boxes: Array, scores: Array, labels: Array, method: Detector) -> list[int]:
     """Places of the boxes that are told: those of measured classes, sure enough and not empty, the best first."""
-    kept: list[int] = []
+    rows: list[int] = []
     for place, _ in method.classes:
         good = (labels == place) & (scores >= method.score) & (boxes[:, 2:] > 0.0).all(axis=1)
-        own = np.flatnonzero(good)
-        kept += own[np.argsort(-scores[own], kind="stable")][:MOST].tolist()
-    return sorted(kept, key=lambda n: (-scores[n], n))
+        above = np.flatnonzero(good)
+        rows += above[np.argsort(-scores[above], kind="stable")][:MOST].tolist()
+    return sorted(rows, key=lambda n: (-scores[n], n))

@@ -49,21 +49,21 @@ def run(
         return bench.run(pairs, methods, out, question, retry=retry, progress=progress, log=log)
 
 
-def values(found: Bench, method: Defogger, metric: str, fog: str | None = None) -> dict[str, float]:
+def values(bench_run: Bench, method: Defogger, metric: str, fog: str | None = None) -> dict[str, float]:
     """Pair -> number, of the pairs that the method answered."""
-    rows = {pair.name: found.row(method, pair) for pair in found.items if fog is None or pair.fog == fog}
+    rows = {pair.name: bench_run.row(method, pair) for pair in bench_run.items if fog is None or pair.fog == fog}
     return {name: float(row[metric]) for name, row in rows.items() if metric in row}
 
 
 def _asked(pair: Pair, method: Defogger, worker: MethodWorker) -> Row:
     """{'answer', 'truth'}, files, or {'error'}."""
-    taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
-    if taken is None:
+    source = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
+    if source is None:
         return {"error": f"the pair has no {method.takes}"}
     try:
         if bench.shape(pair.clear) != bench.shape(pair.foggy):
             return {"error": "the foggy and the clear picture differ in size"}
-        return {"answer": worker.ask(taken), "truth": pair.clear}
+        return {"answer": worker.ask(source), "truth": pair.clear}
     except (MethodError, ParameterError) as error:
         return {"error": str(error)}
 
@@ -82,10 +82,10 @@ def _measuring() -> Iterator[Callable[[Row], Row]]:
                 worker = MethodWorker(MEASURER, Path(tempfile.mkdtemp(dir=folder)))
                 workers.append(worker)
             try:
-                told = worker.ask(row["answer"], truth=row["truth"])
-                found: Row = json.loads(told.read_text(encoding="utf-8"))
-                told.unlink()
-                return found
+                answer_file = worker.ask(row["answer"], truth=row["truth"])
+                numbers: Row = json.loads(answer_file.read_text(encoding="utf-8"))
+                answer_file.unlink()
+                return numbers
             except MethodError as error:  # where the answer lay is of no use afterwards, and differs from run to run
                 return {"error": str(error).replace(str(row["answer"]), "the answer")}
             finally:
@@ -100,8 +100,8 @@ def _measuring() -> Iterator[Callable[[Row], Row]]:
 
 
 def _of_files(pair: Pair, method: Defogger) -> str:
-    taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes, pair.foggy)
-    return f"{bench.digest(taken)} {bench.digest(pair.clear)} {' '.join(metrics.usable())}"
+    source = pair.foggy if method.takes == PNG else pair.files.get(method.takes, pair.foggy)
+    return f"{bench.digest(source)} {bench.digest(pair.clear)} {' '.join(metrics.usable())}"
 
 
 def fogs(pairs: Sequence[Pair]) -> list[str]:

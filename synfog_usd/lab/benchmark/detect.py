@@ -96,8 +96,8 @@ class FoggedView:
     @property
     def view(self) -> tuple[Any, ...]:
         """The same for all fogs of a view."""
-        one = self.source
-        return one.scene, one.lighting, one.camera, one.pipeline
+        picture = self.source
+        return picture.scene, picture.lighting, picture.camera, picture.pipeline
 
     @property
     def fog(self) -> str:
@@ -157,10 +157,10 @@ class DetectorRunWorker:
         Raises:
             MethodError: one of the two gave no answer.
         """
-        given = picture
+        picture_in = picture
         for worker in self.workers:
             answer = worker.ask(picture)
-            if picture is not given:
+            if picture is not picture_in:
                 picture.unlink()
             picture = answer
         return picture
@@ -185,21 +185,21 @@ def find(source: Path, *, picture: str = PNG, split: str = "") -> list[FoggedVie
     """
     if not source.is_dir():
         raise ParameterError(f"{source}: no such folder")
-    found = []
-    for one in frames.pictures(source):
-        if picture in one.files and split in ("", one.split):
-            found.append(FoggedView(one, one.files[picture], tuple(_things(one))))
-    if not found:
+    views = []
+    for entry in frames.pictures(source):
+        if picture in entry.files and split in ("", entry.split):
+            views.append(FoggedView(entry, entry.files[picture], tuple(_things(entry))))
+    if not views:
         raise ParameterError(
             f"{source}: no picture {picture}{f' in the split {split!r}' if split else ''}; it takes a set or a bake"
         )
-    if not any(one.things for one in found):
-        raise ParameterError(f"{source}: nothing that could be found is seen in any of {len(found)} pictures")
-    return found
+    if not any(entry.things for entry in views):
+        raise ParameterError(f"{source}: nothing that could be found is seen in any of {len(views)} pictures")
+    return views
 
 
-def _things(one: LabelledPicture) -> Iterator[LabelledThing]:
-    for row in taxonomy.things(one):
+def _things(picture: LabelledPicture) -> Iterator[LabelledThing]:
+    for row in taxonomy.things(picture):
         yield LabelledThing(
             row["id"],
             row["label"],
@@ -259,8 +259,8 @@ def _asked(view: FoggedView, run: DetectorRun, worker: DetectorRunWorker) -> Row
 
 def _distance(box: Sequence[float], distance_m: Array) -> float:
     """Median distance of what is seen in a box [m]."""
-    left, top = (max(0, int(part)) for part in box[:2])
-    inside = distance_m[top : math.ceil(box[1] + box[3]), left : math.ceil(box[0] + box[2])]
+    left_px, top = (max(0, int(part)) for part in box[:2])
+    inside = distance_m[top : math.ceil(box[1] + box[3]), left_px : math.ceil(box[0] + box[2])]
     return round(min(float(np.median(inside)), FARTHEST_M), 2) if inside.size else FARTHEST_M
 
 
@@ -301,8 +301,8 @@ class DetectionScores:
 
     def one(self, counts: str, metric: str, by: str = "", group: str = "") -> DetectionScore | None:
         """A number, or None."""
-        wanted = (counts, by, group, metric)
-        return next((row for row in self.rows if (row.counts, row.by, row.group, row.metric) == wanted), None)
+        key = (counts, by, group, metric)
+        return next((row for row in self.rows if (row.counts, row.by, row.group, row.metric) == key), None)
 
 
 @dataclass(frozen=True)
@@ -320,41 +320,43 @@ class _Answers:
         box: Callable[[list[float]], float],
         ignored: Callable[[LabelledThing], bool],
     ) -> Matched:
-        true = [TrueBox(n, kind, one.box, thing(one), ignored(one)) for n, kind, one in self.true]
-        found = [FoundBox(n, int(row[5]), row[:4], row[4], box(row)) for n, row in self.found]
-        return coco.match(len(self.views), true, found, ranges)
+        true = [TrueBox(n, kind, labelled.box, thing(labelled), ignored(labelled)) for n, kind, labelled in self.true]
+        guesses = [FoundBox(n, int(row[5]), row[:4], row[4], box(row)) for n, row in self.found]
+        return coco.match(len(self.views), true, guesses, ranges)
 
 
-def _answers(found: Bench, one: DetectorRun, names: set[str] | None = None) -> _Answers:
-    kinds = {label: place for place, labels in one.detector.classes for label in labels}
-    views = [view for view in found.items if "boxes" in found.row(one, view) and (names is None or view.name in names)]
-    true = [
-        (n, kinds[thing.label], thing) for n, view in enumerate(views) for thing in view.things if thing.label in kinds
+def _answers(bench_run: Bench, detector_run: DetectorRun, names: set[str] | None = None) -> _Answers:
+    kinds = {label: place for place, labels in detector_run.detector.classes for label in labels}
+    views = [
+        view
+        for view in bench_run.items
+        if "boxes" in bench_run.row(detector_run, view) and (names is None or view.name in names)
     ]
-    boxes = [(n, row) for n, view in enumerate(views) for row in found.row(one, view)["boxes"]]
+    true = [(n, kinds[item.label], item) for n, view in enumerate(views) for item in view.things if item.label in kinds]
+    boxes = [(n, row) for n, view in enumerate(views) for row in bench_run.row(detector_run, view)["boxes"]]
     return _Answers(views, true, boxes)
 
 
-def scores(found: Bench, one: DetectorRun, *, least_px: int = 0) -> DetectionScores:
+def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) -> DetectionScores:
     """All numbers of a detector.
 
     Args:
-        found: from `run`.
-        one: of its methods.
+        bench_run: from `run`.
+        detector_run: of its methods.
         least_px: things of fewer visible pixels are ignored.
 
     Raises:
         ParameterError: pycocotools is not installed.
     """
-    answers = _answers(found, one)
-    told = DetectionScores(pictures=len(answers.views))
+    answers = _answers(bench_run, detector_run)
+    result = DetectionScores(pictures=len(answers.views))
     if not answers.views:
-        return told
+        return result
     weights = _weights(answers.views)
 
-    def add(counts: str, by: str, group: str, metric: str, drawn: Array, things: Array) -> None:
-        enough = len({view.scene for view, n in zip(answers.views, things, strict=True) if n}) >= FEWEST_SCENES
-        told.rows.append(DetectionScore(counts, by, group, metric, *_told(drawn, enough), int(things.sum())))
+    def add(counts: str, by: str, group: str, metric: str, draws: Array, numbers: Array) -> None:
+        enough = len({view.scene for view, n in zip(answers.views, numbers, strict=True) if n}) >= FEWEST_SCENES
+        result.rows.append(DetectionScore(counts, by, group, metric, *_told(draws, enough), int(numbers.sum())))
 
     def small(thing: LabelledThing) -> bool:
         return thing.pixels < least_px
@@ -367,16 +369,16 @@ def scores(found: Bench, one: DetectorRun, *, least_px: int = 0) -> DetectionSco
     for counts, ignored in ((ALL, small), (LEFT, hidden)):
         by_size = answers.matched(sizes, lambda thing: thing.pixels, lambda row: row[2] * row[3], ignored)
         whole = by_size.groups[0]
-        drawn, things = coco.precision(whole, weights), _count(whole)
-        for metric, part in (("AP", drawn.mean(axis=1)), ("AP50", drawn[:, 0]), ("AP75", drawn[:, 5])):
-            add(counts, "", "", metric, part, things)
-        add(counts, "", "", "AR", coco.recall(whole, weights).mean(axis=1), things)
+        draws, numbers = coco.precision(whole, weights), _count(whole)
+        for metric, part in (("AP", draws.mean(axis=1)), ("AP50", draws[:, 0]), ("AP75", draws[:, 5])):
+            add(counts, "", "", metric, part, numbers)
+        add(counts, "", "", "AR", coco.recall(whole, weights).mean(axis=1), numbers)
         for name, group in zip(SIZES_PX, by_size.groups[1:], strict=True):
             add(counts, "size", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
         for fog in fogs(answers.views):
             inside = np.array([view.fog == fog for view in answers.views])
-            own = coco.precision(whole, weights * inside)
-            add(counts, "fog", fog, "AP", own.mean(axis=1), _count(whole) * inside)
+            in_fog = coco.precision(whole, weights * inside)
+            add(counts, "fog", fog, "AP", in_fog.mean(axis=1), _count(whole) * inside)
         by_distance = answers.matched(steps, lambda thing: thing.distance_m, lambda row: row[6], ignored)
         for low, group in zip(DISTANCES_M, by_distance.groups, strict=False):
             name = _between(DISTANCES_M, low, "")
@@ -392,12 +394,12 @@ def scores(found: Bench, one: DetectorRun, *, least_px: int = 0) -> DetectionSco
     )
     for name, group in zip(STATES, states.groups, strict=True):
         add(ALL, "visibility", name, "AR", coco.recall(group, weights).mean(axis=1), _count(group))
-    return told
+    return result
 
 
 def _lost(
     answers: _Answers,
-    found: Array,
+    recalls: Array,
     weights: Array,
     ignored: Callable[[LabelledThing], bool],
     add: Callable[[str, str, str, str, Array, Array], None],
@@ -408,95 +410,100 @@ def _lost(
     classes.
     """
     clear: dict[tuple[Any, ...], float] = {}
-    for (n, _, thing), share in zip(answers.true, found, strict=True):
+    for (n, _, item), share in zip(answers.true, recalls, strict=True):
         if answers.views[n].source.clear:
-            clear[answers.views[n].view, thing.id] = float(share)
+            clear[answers.views[n].view, item.id] = float(share)
     rows = [
-        (n, kind, thing.visibility, clear[answers.views[n].view, thing.id] - float(share))
-        for (n, kind, thing), share in zip(answers.true, found, strict=True)
-        if not answers.views[n].source.clear and (answers.views[n].view, thing.id) in clear and not ignored(thing)
+        (n, kind, item.visibility, clear[answers.views[n].view, item.id] - float(share))
+        for (n, kind, item), share in zip(answers.true, recalls, strict=True)
+        if not answers.views[n].source.clear and (answers.views[n].view, item.id) in clear and not ignored(item)
     ]
     for fog in ["", *(fog for fog in fogs(answers.views) if fog != "clear")]:
-        own = [row for row in rows if fog in ("", answers.views[row[0]].fog)]
-        if not own:
+        in_fog = [row for row in rows if fog in ("", answers.views[row[0]].fog)]
+        if not in_fog:
             continue
-        kinds = sorted({row[1] for row in own})
-        picture = np.array([row[0] for row in own])
-        kind, lost = np.array([kinds.index(row[1]) for row in own]), np.array([row[3] for row in own])
+        kinds = sorted({row[1] for row in in_fog})
+        picture = np.array([row[0] for row in in_fog])
+        kind, lost = np.array([kinds.index(row[1]) for row in in_fog]), np.array([row[3] for row in in_fog])
         often = weights[:, picture]
-        things = np.stack([(often * (kind == k)).sum(axis=1) for k in range(len(kinds))])
+        counts = np.stack([(often * (kind == k)).sum(axis=1) for k in range(len(kinds))])
         for state in ("", *STATES):
-            chosen = np.array([state in ("", row[2]) for row in own])
+            chosen = np.array([state in ("", row[2]) for row in in_fog])
             sums = np.stack([(often * (kind == k) * chosen * lost).sum(axis=1) for k in range(len(kinds))])
             with np.errstate(invalid="ignore", divide="ignore"):
-                drawn = coco.mean_over_kinds(np.where(things > 0, sums / things, np.nan))
+                means = coco.mean_over_kinds(np.where(counts > 0, sums / counts, np.nan))
             count = np.bincount(picture[chosen], minlength=len(answers.views))
-            add(ALL, f"lost in {fog or 'fog'}", state, "AR lost", drawn, count)
+            add(ALL, f"lost in {fog or 'fog'}", state, "AR lost", means, count)
 
 
-def ranks(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, int]:
+def ranks(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, int]:
     """Rank of each detector: one more than the number of those that are better beyond chance.
 
     Two are compared by the average precision of all things on the pictures that both answered; one is better where the
     interval of the difference over scenes does not hold 0.
     """
-    better = dict.fromkeys((one.name for one in runs), 0)
-    for n, one in enumerate(runs):
-        for other in runs[n + 1 :]:
-            views, groups = _both(found, one, other, lambda thing: thing.pixels < least_px)
+    better = dict.fromkeys((run.name for run in runs), 0)
+    for n, run in enumerate(runs):
+        for rival in runs[n + 1 :]:
+            views, groups = _both(bench_run, run, rival, lambda thing: thing.pixels < least_px)
             if views:
-                drawn = [coco.precision(group, _weights(views)).mean(axis=1) for group in groups]
-                _, low, high = _told(drawn[1] - drawn[0])
-                better[one.name] += low is not None and low > 0.0
-                better[other.name] += high is not None and high < 0.0
+                draws = [coco.precision(group, _weights(views)).mean(axis=1) for group in groups]
+                _, low, high = _told(draws[1] - draws[0])
+                better[run.name] += low is not None and low > 0.0
+                better[rival.name] += high is not None and high < 0.0
     return {name: 1 + count for name, count in better.items()}
 
 
-def gains(found: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
+def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
     """By how much each detector's average precision is above that of the first, by fog.
 
     Both are told on the pictures that both answered, and their scenes are drawn together: so a difference can be known
     better than either number.
 
     Args:
-        found: from `run`.
+        bench_run: from `run`.
         runs: detectors, the first of which the others are compared with.
         least_px: things of fewer visible pixels are ignored.
 
     Returns:
         name of each but the first -> its rows, by 'over' and the first one's name; the group '' is all fogs.
     """
-    told: dict[str, list[DetectionScore]] = {}
-    for one in runs[1:]:
+    result: dict[str, list[DetectionScore]] = {}
+    for run in runs[1:]:
         for counts, hidden in ((ALL, ()), (LEFT, ("invisible",))):
             views, groups = _both(
-                found, runs[0], one, lambda thing, hidden=hidden: thing.pixels < least_px or thing.visibility in hidden
+                bench_run,
+                runs[0],
+                run,
+                lambda thing, hidden=hidden: thing.pixels < least_px or thing.visibility in hidden,
             )
             for fog in ("", *fogs(views)) if views else ():
                 inside = np.array([fog in ("", view.fog) for view in views])
-                drawn = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
+                draws = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
                 things = _count(groups[1]) * inside
                 enough = len({view.scene for view, n in zip(views, things, strict=True) if n}) >= FEWEST_SCENES
-                numbers = _told(drawn[1] - drawn[0], enough)
+                numbers = _told(draws[1] - draws[0], enough)
                 row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(things.sum()))
-                told.setdefault(one.name, []).append(row)
-    return told
+                result.setdefault(run.name, []).append(row)
+    return result
 
 
 def _both(
-    found: Bench, one: DetectorRun, other: DetectorRun, ignored: Callable[[LabelledThing], bool]
+    bench_run: Bench, first_run: DetectorRun, second_run: DetectorRun, ignored: Callable[[LabelledThing], bool]
 ) -> tuple[list[FoggedView], list[list[MatchedKind]]]:
     """The views that both answered, and what each found there."""
-    shared = {v.name for v in found.items if all("boxes" in found.row(both, v) for both in (one, other))}
-    answers = [_answers(found, both, shared) for both in (one, other)] if shared else []
+    shared = {
+        v.name for v in bench_run.items if all("boxes" in bench_run.row(both, v) for both in (first_run, second_run))
+    }
+    answers = [_answers(bench_run, both, shared) for both in (first_run, second_run)] if shared else []
     groups = [each.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored).groups[0] for each in answers]
     return answers[0].views if answers else [], groups
 
 
 def fogs(views: Sequence[FoggedView]) -> list[str]:
     """Ranges of visibility that there are, clear air first, then the thinner fog before the thicker."""
-    seen = {view.fog: math.inf if view.source.clear else float(view.source.mor_m or 0.0) for view in views}
-    return sorted(seen, key=lambda fog: -seen[fog])
+    visibilities = {view.fog: math.inf if view.source.clear else float(view.source.mor_m or 0.0) for view in views}
+    return sorted(visibilities, key=lambda fog: -visibilities[fog])
 
 
 def _weights(views: Sequence[FoggedView]) -> Array:
@@ -508,18 +515,18 @@ def _weights(views: Sequence[FoggedView]) -> Array:
     return np.concatenate([once, statistics.draws(names.size)[:DRAWS, place]])
 
 
-def _told(drawn: Array, enough: bool = True) -> tuple[float, float | None, float | None]:
+def _told(draws: Array, enough: bool = True) -> tuple[float, float | None, float | None]:
     """Value and interval of numbers by draw, of which the first is of all scenes once; none where things are in too few
     scenes to tell.
     """
-    if len(drawn) == 1 or not enough or not np.isfinite(drawn[1:]).any():
-        return float(drawn[0]), None, None
-    return float(drawn[0]), *statistics.interval(drawn[1:])
+    if len(draws) == 1 or not enough or not np.isfinite(draws[1:]).any():
+        return float(draws[0]), None, None
+    return float(draws[0]), *statistics.interval(draws[1:])
 
 
 def _count(group: Sequence[MatchedKind]) -> Array:
     """(P,) things that count in each picture."""
-    return np.sum([one.things for one in group], axis=0)
+    return np.sum([matched.things for matched in group], axis=0)
 
 
 @functools.cache

@@ -69,9 +69,9 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     for name in names:
         for counts in (ALL, LEFT):
             cells = " | ".join(_cell(scored[name].one(counts, metric)) for metric in METRICS)
-            things = getattr(scored[name].one(counts, "AP"), "things", 0)
+            count = getattr(scored[name].one(counts, "AP"), "things", 0)
             answered = f"{scored[name].pictures} of {len(views)}"
-            lines.append(f"| {ranks[name]} | {name} | {counts} | {cells} | {things} | {answered} |")
+            lines.append(f"| {ranks[name]} | {name} | {counts} | {cells} | {count} | {answered} |")
     for title, by, groups in (
         ("AP by visibility (MOR)", "fog", fogs(views)),
         ("AP by distance", "distance", _groups(scored, "distance")),
@@ -85,7 +85,10 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
         lines += ["", f"## {title}", "", *_table(["detector", "counts", *groups], rows)]
     lines += _gained(scored, names, fogs(views))
     lines += ["", "## AR by what fog leaves of a thing", ""]
-    rows = [[name, *(_counted(scored[name].one(ALL, "AR", "visibility", one)) for one in STATES)] for name in names]
+    rows = [
+        [name, *(_counted(scored[name].one(ALL, "AR", "visibility", visibility)) for visibility in STATES)]
+        for name in names
+    ]
     lines += _table(["detector", *STATES], rows)
     lost = [
         [name, by.removeprefix("lost in "), *cells]
@@ -102,11 +105,11 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     return "\n".join([*lines, ""])
 
 
-def _gained(scored: Scored, names: Sequence[str], seen: Sequence[str]) -> list[str]:
+def _gained(scored: Scored, names: Sequence[str], states: Sequence[str]) -> list[str]:
     """A table beside the first detector, where there are two."""
     by = {name: next((row.by for row in scored[name].rows if row.metric == "AP gained"), "") for name in names}
     rows = [
-        [name, counts, *(_cell(scored[name].one(counts, "AP gained", by[name], fog), "+") for fog in ("", *seen))]
+        [name, counts, *(_cell(scored[name].one(counts, "AP gained", by[name], fog), "+") for fog in ("", *states))]
         for name in names
         for counts in (ALL, LEFT)
         if by[name]
@@ -114,7 +117,7 @@ def _gained(scored: Scored, names: Sequence[str], seen: Sequence[str]) -> list[s
     if not rows:
         return []
     first = next(filter(None, by.values())).removeprefix("over ")
-    head = ["detector", "counts", "all pictures", *seen]
+    head = ["detector", "counts", "all pictures", *states]
     return ["", f"## AP above that of {first}", "", "Scenes are drawn for both together.", "", *_table(head, rows)]
 
 
@@ -136,19 +139,19 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]
 
 
-def _value(found: DetectionScore | None) -> float:
-    return math.nan if found is None else found.value
+def _value(score: DetectionScore | None) -> float:
+    return math.nan if score is None else score.value
 
 
-def _cell(found: DetectionScore | None, sign: str = "") -> str:
-    if found is None or not math.isfinite(found.value):
+def _cell(score: DetectionScore | None, sign: str = "") -> str:
+    if score is None or not math.isfinite(score.value):
         return "-"
-    text = f"{found.value:{sign}.3f}"
-    return text if found.low is None else f"{text} ({found.low:{sign}.3f} to {found.high:{sign}.3f})"
+    text = f"{score.value:{sign}.3f}"
+    return text if score.low is None else f"{text} ({score.low:{sign}.3f} to {score.high:{sign}.3f})"
 
 
-def _counted(found: DetectionScore | None) -> str:
-    return f"{_cell(found)}, {found.things} things" if found is not None else "-"
+def _counted(score: DetectionScore | None) -> str:
+    return f"{_cell(score)}, {score.things} things" if score is not None else "-"
 
 
 def _csv(scored: Scored, ranks: Mapping[str, int]) -> str:
@@ -157,7 +160,10 @@ def _csv(scored: Scored, ranks: Mapping[str, int]) -> str:
     table.writerow(["detector", "rank", "counts", "by", "group", "metric", "value", "low", "high", "things"])
     for name, scores in scored.items():
         for row in scores.rows:
-            numbers = ["" if one is None or math.isnan(one) else f"{one:.6g}" for one in (row.value, row.low, row.high)]
+            numbers = [
+                "" if number is None or math.isnan(number) else f"{number:.6g}"
+                for number in (row.value, row.low, row.high)
+            ]
             table.writerow([name, ranks[name], row.counts, row.by, row.group, row.metric, *numbers, row.things])
     return text.getvalue()
 
@@ -166,7 +172,7 @@ def _latex(scored: Scored, ranks: Mapping[str, int]) -> str:
     chosen = [(counts, metric) for counts in (ALL, LEFT) for metric in ("AP", "AP50", "AR")]
     lines = []
     for name in sorted(scored, key=lambda name: ranks[name]):
-        values = [_value(scored[name].one(*one)) for one in chosen]
+        values = [_value(scored[name].one(*key)) for key in chosen]
         lines.append([page.escaped(name), *("--" if math.isnan(value) else f"{value:.3f}" for value in values)])
     head = ["Detector", *(metric if counts == ALL else f"{metric} left" for counts, metric in chosen)]
     return page.latex(head, lines)
@@ -177,14 +183,14 @@ def _pictures(bench: Bench, path: Path) -> None:
     foggy = [view for view in bench.items if not view.source.clear] or list(bench.items)
     strips = []
     for view in page.spread(foggy):
-        true = [(thing.box, COLOURS[thing.visibility]) for thing in view.things]
+        true = [(item.box, COLOURS[item.visibility]) for item in view.things]
         strip = [_boxed(view, view.name, true)]
-        for one in bench.methods:
-            row = bench.row(one, view)
+        for method in bench.methods:
+            row = bench.row(method, view)
             if "boxes" in row:
-                strip.append(_boxed(view, one.name, [(box[:4], FOUND) for box in row["boxes"] if box[4] >= SURE]))
+                strip.append(_boxed(view, method.name, [(box[:4], FOUND) for box in row["boxes"] if box[4] >= SURE]))
             else:
-                strip.append(page.no_answer(one.name))
+                strip.append(page.no_answer(method.name))
         strips.append(strip)
     page.sheet(strips, path)
 
@@ -195,6 +201,8 @@ def _boxed(view: FoggedView, caption: str, boxes: Sequence[tuple[Sequence[float]
     picture, caption = page.tile(view.picture, caption)
     scale = page.TILE_PX / view.source.labels.size_px[0]
     draw = ImageDraw.Draw(picture)
-    for (left, top, width, height), colour in boxes:
-        draw.rectangle([scale * left, scale * top, scale * (left + width), scale * (top + height)], outline=colour)
+    for (left_px, top, width, height), colour in boxes:
+        draw.rectangle(
+            [scale * left_px, scale * top, scale * (left_px + width), scale * (top + height)], outline=colour
+        )
     return picture, caption

@@ -105,13 +105,13 @@ def chosen(paths: Sequence[str]) -> tuple[Detector, ...]:
     Raises:
         ParameterError: a fault in a file, with its place.
     """
-    found = []
+    result = []
     for path in paths:
         if not is_file(path):
             raise ParameterError(f"{path}: a detector is declared in a YAML file; see docs/benchmark.md")
-        found += [_detector(entry, Path(path).parent) for entry in listed(Path(path), "detectors")]
-    refuse_twins(found)
-    return tuple(found)
+        result += [_detector(entry, Path(path).parent) for entry in listed(Path(path), "detectors")]
+    refuse_twins(result)
+    return tuple(result)
 
 
 def _detector(entry: Located, folder: Path) -> Detector:
@@ -126,7 +126,7 @@ def _detector(entry: Located, folder: Path) -> Detector:
     for key, allowed in {"layout": LAYOUTS, "order": ("rgb", "bgr"), **flags}.items():
         if key in fields:
             value = switch(fields[key].plain()) if key in flags else fields[key].plain()
-            if not any(value is one or (isinstance(one, str) and value == one) for one in allowed):
+            if not any(value is option or (isinstance(option, str) and value == option) for option in allowed):
                 words = ", ".join(str(word).lower() for word in allowed)
                 raise ParameterError(f"{fields[key].place}: {key} is {value!r}; it is one of {words}")
             more[key] = value
@@ -147,7 +147,7 @@ def _detector(entry: Located, folder: Path) -> Detector:
 def _numbers(node: Located, key: str, count: int, low: float, high: float) -> tuple[float, ...]:
     if not isinstance(node.value, list) or len(node.value) != count:
         raise ParameterError(f"{node.place}: {key} is {node.plain()!r}; it takes {count} numbers, {low:g} to {high:g}")
-    return tuple(float(number(one, key, low, high)) for one in node.value)
+    return tuple(float(number(entry, key, low, high)) for entry in node.value)
 
 
 def _classes(node: Located) -> tuple[Classes, int]:
@@ -159,25 +159,27 @@ def _classes(node: Located) -> tuple[Classes, int]:
             )
         return COCO[node.value], COUNTS[node.value]
     if isinstance(node.value, list):
-        covered = [(one, place) for place, one in enumerate(node.value) if one.value is not None]
+        covered = [(entry, place) for place, entry in enumerate(node.value) if entry.value is not None]
         count = len(node.value)
     elif isinstance(node.value, dict):
-        covered = [(Located(label, one.key_place or one.place), _place(one)) for label, one in node.value.items()]
+        covered = [
+            (Located(label, entry.key_place or entry.place), _place(entry)) for label, entry in node.value.items()
+        ]
         count = 0
     else:
         raise ParameterError(f"{node.place}: classes is {', '.join(COCO)}, a list or a mapping")
-    known = {label.name for label in LABELS.values()}
-    found: dict[int, list[str]] = {}
+    label_names = {label.name for label in LABELS.values()}
+    result: dict[int, list[str]] = {}
     for label, place in covered:
-        if label.value not in known:
-            near = did_you_mean(str(label.value), sorted(known))
+        if label.value not in label_names:
+            near = did_you_mean(str(label.value), sorted(label_names))
             raise ParameterError(f"{label.place}: {label.value!r} is no label of Cityscapes.{near}")
-        if any(label.value in labels for labels in found.values()):
+        if any(label.value in labels for labels in result.values()):
             raise ParameterError(f"{label.place}: {label.value!r} is covered by two classes; give it to one")
-        found.setdefault(place, []).append(label.value)
-    if not found:
+        result.setdefault(place, []).append(label.value)
+    if not result:
         raise ParameterError(f"{node.place}: classes names no label of the set")
-    return tuple((place, tuple(found[place])) for place in sorted(found)), count
+    return tuple((place, tuple(result[place])) for place in sorted(result)), count
 
 
 def _place(node: Located) -> int:

@@ -99,16 +99,16 @@ def chosen(words: Sequence[str]) -> tuple[Defogger, ...]:
     Raises:
         ParameterError: an unknown name, or a fault in a file, with its place.
     """
-    found: list[Defogger] = []
+    result: list[Defogger] = []
     for word in words:
         if is_file(word):
-            found += [_method(entry, Path(word).parent) for entry in listed(Path(word), "methods")]
+            result += [_method(entry, Path(word).parent) for entry in listed(Path(word), "methods")]
         else:
-            found.append(_classic(word, ""))
-    refuse_twins(found)
-    if not found:
+            result.append(_classic(word, ""))
+    refuse_twins(result)
+    if not result:
         raise ParameterError(f"no method is named; it can be {', '.join(CLASSICS)}, or a YAML file")
-    return tuple(found)
+    return tuple(result)
 
 
 def is_file(word: str) -> bool:
@@ -116,9 +116,9 @@ def is_file(word: str) -> bool:
     return word.endswith((".yaml", ".yml"))
 
 
-def refuse_twins(found: Sequence[Method]) -> None:
+def refuse_twins(methods: Sequence[Method]) -> None:
     """Raise ParameterError where two have one name."""
-    names = [method.name for method in found]
+    names = [method.name for method in methods]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise ParameterError(f"two methods are called {twice!r}; give one another name")
 
@@ -142,10 +142,10 @@ def listed(path: Path, kind: str) -> list[Located]:
     fields = mapping(root, "a file of methods", ("synfog", "methods", "detectors"))
     if "synfog" not in fields or fields["synfog"].plain() != SCHEMA:
         raise ParameterError(f"{root.place}: a file of methods begins with 'synfog: {SCHEMA}'")
-    found = fields.get(kind)
-    if found is None or not isinstance(found.value, list) or not found.value:
+    value = fields.get(kind)
+    if value is None or not isinstance(value.value, list) or not value.value:
         raise ParameterError(f"{root.place}: {kind} is a list of names and mappings, and has at least one")
-    return list(found.value)
+    return list(value.value)
 
 
 def _method(entry: Located, folder: Path) -> Defogger:
@@ -184,10 +184,10 @@ def declared(
     if len(ways) != 1:
         torch = ", torch: FILE" if raw else ""
         raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE{torch} and command: [WORDS]")
-    own: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0)):
         if key in fields:
-            own[key] = float(number(fields[key], key, low, high))
+            values[key] = float(number(fields[key], key, low, high))
     if "takes" in fields:
         value = fields["takes"].plain()
         plain = isinstance(value, str) and Path(value).name == value
@@ -196,10 +196,10 @@ def declared(
                 f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
                 f"{', or of a RAW file, for a network' if raw else ''}"
             )
-        own["takes"] = value
-    decides = {**own, **more}
+        values["takes"] = value
+    decides = {**values, **more}
     if "at_once" in fields:
-        own["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
+        values["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
     if ways != ["command"]:
         kind = ways[0]
         value = fields[kind].plain()
@@ -208,7 +208,7 @@ def declared(
             raise ParameterError(f"{fields[kind].place}: {path}: no such file")
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         version = _hash(kind, digest, decides)
-        return {"name": name, "kind": kind, "target": str(path.resolve()), "version": version, **own}
+        return {"name": name, "kind": kind, "target": str(path.resolve()), "version": version, **values}
     words = fields["command"].plain()
     place = fields["command"].place
     if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):
@@ -220,7 +220,7 @@ def declared(
     hashes = [hashlib.sha256((folder / w).read_bytes()).hexdigest() for w in words if (folder / w).is_file()]
     version = _hash("command", words, hashes, decides)
     target = str(folder.resolve())
-    return {"name": name, "kind": "command", "target": target, "command": tuple(words), "version": version, **own}
+    return {"name": name, "kind": "command", "target": target, "command": tuple(words), "version": version, **values}
 
 
 def number(node: Located, key: str, low: float, high: float) -> float:
@@ -235,16 +235,16 @@ def number(node: Located, key: str, low: float, high: float) -> float:
     return value
 
 
-def mapping(node: Located, what: str, known: Sequence[str]) -> dict[str, Located]:
-    """The entries of a mapping; what is not `known` is refused."""
+def mapping(node: Located, what: str, keys: Sequence[str]) -> dict[str, Located]:
+    """The entries of a mapping; what is not `keys` is refused."""
     if not isinstance(node.value, dict):
         raise ParameterError(f"{node.place}: {what} is a mapping")
     fields: dict[str, Located] = node.value
     for key in fields:
-        if key not in known:
+        if key not in keys:
             raise ParameterError(
-                f"{fields[key].place}: {what} has no {key!r}; it takes {', '.join(known)}."
-                f"{did_you_mean(key, list(known))}"
+                f"{fields[key].place}: {what} has no {key!r}; it takes {', '.join(keys)}."
+                f"{did_you_mean(key, list(keys))}"
             )
     return fields
 

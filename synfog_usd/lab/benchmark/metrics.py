@@ -147,8 +147,8 @@ def measure(picture: Picture, truth: Picture) -> dict[str, float]:
             f"a picture of {_size(picture)} cannot be compared with one of {_size(truth)}; a method gives "
             f"the size it got"
         )
-    found = {name: METRICS[name].measure(picture, truth) for name in usable()}
-    return {name: value for name, value in found.items() if math.isfinite(value)}
+    distances = {name: METRICS[name].measure(picture, truth) for name in usable()}
+    return {name: value for name, value in distances.items() if math.isfinite(value)}
 
 
 def _size(picture: Any) -> str:

@@ -58,19 +58,19 @@ def rows(bench: Bench) -> list[Row]:
     found_rows: list[Row] = []
     for method in bench.methods:
         if method.name in answered:
-            found = {}
+            means = {}
             for name in metrics.usable():
                 if not (values := defog.values(bench, method, name)):
                     continue
-                found[name] = mean(list(values.values()), [scenes[pair] for pair in values])
-            found_rows.append((method, order[method.name], found))
+                means[name] = mean(list(values.values()), [scenes[pair] for pair in values])
+            found_rows.append((method, order[method.name], means))
     sign = -1.0 if metrics.METRICS[first].higher else 1.0
     return sorted(found_rows, key=lambda row: (row[1], sign * row[2][first].value))
 
 
 def _told(rows: Sequence[Row]) -> list[str]:
     """Names of the metrics that every method has."""
-    return [name for name in metrics.usable() if all(name in found for _, _, found in rows)]
+    return [name for name in metrics.usable() if all(name in means for _, _, means in rows)]
 
 
 def markdown(bench: Bench, rows: Sequence[Row]) -> str:
@@ -87,9 +87,9 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
         f"| rank | method | {' | '.join(titles)} | pictures |",
         f"|---|---|{'---|' * len(names)}---|",
     ]
-    for method, rank, found in rows:
-        cells = " | ".join(_cell(name, found[name]) for name in names)
-        lines.append(f"| {rank} | {method.name} | {cells} | {found[names[0]].count} of {len(bench.items)} |")
+    for method, rank, means in rows:
+        cells = " | ".join(_cell(name, means[name]) for name in names)
+        lines.append(f"| {rank} | {method.name} | {cells} | {means[names[0]].count} of {len(bench.items)} |")
     if fogs := defog.fogs(bench.items):
         title = _title(names[0])
         lines += ["", f"{title} by fog:", "", f"| method | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
@@ -98,8 +98,8 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
             cells = []
             for fog in fogs:
                 values = defog.values(bench, method, names[0], fog)
-                found = mean(list(values.values()), [scene_of[pair] for pair in values]) if values else None
-                cells.append(_cell(names[0], found) if found else "-")
+                means = mean(list(values.values()), [scene_of[pair] for pair in values]) if values else None
+                cells.append(_cell(names[0], means) if means else "-")
             lines.append(f"| {method.name} | {' | '.join(cells)} |")
     lines += unanswered(bench)
     missing = [name for name in metrics.METRICS if name not in metrics.usable()]
@@ -129,37 +129,37 @@ def _title(name: str) -> str:
     return f"{metric.title} {'up' if metric.higher else 'down'}"
 
 
-def _cell(name: str, found: Mean) -> str:
+def _cell(name: str, average: Mean) -> str:
     decimals = metrics.METRICS[name].decimals
-    text = f"{found.value:.{decimals}f}"
-    return text if found.low is None else f"{text} ({found.low:.{decimals}f} to {found.high:.{decimals}f})"
+    text = f"{average.value:.{decimals}f}"
+    return text if average.low is None else f"{text} ({average.low:.{decimals}f} to {average.high:.{decimals}f})"
 
 
 def _csv(rows: Sequence[Row]) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["method", "rank", "metric", "mean", "low", "high", "pairs", "scenes"])
-    for method, rank, found in rows:
-        for name, one in found.items():
-            ends = ["" if end is None else f"{end:.6g}" for end in (one.low, one.high)]
-            table.writerow([method.name, rank, name, f"{one.value:.6g}", *ends, one.count, one.scenes])
+    for method, rank, means in rows:
+        for name, average in means.items():
+            ends = ["" if end is None else f"{end:.6g}" for end in (average.low, average.high)]
+            table.writerow([method.name, rank, name, f"{average.value:.6g}", *ends, average.count, average.scenes])
     return text.getvalue()
 
 
 def _latex(rows: Sequence[Row]) -> str:
     names = _told(rows)
     best = {
-        name: (max if metrics.METRICS[name].higher else min)(found[name].value for _, _, found in rows)
+        name: (max if metrics.METRICS[name].higher else min)(means[name].value for _, _, means in rows)
         for name in names
         if rows
     }
     titles = [f"{metrics.METRICS[n].title} $\\{'up' if metrics.METRICS[n].higher else 'down'}arrow$" for n in names]
     lines = []
-    for method, _, found in rows:
+    for method, _, means in rows:
         cells = []
         for name in names:
-            text = f"{found[name].value:.{metrics.METRICS[name].decimals}f}"
-            cells.append(f"\\textbf{{{text}}}" if found[name].value == best[name] else text)
+            text = f"{means[name].value:.{metrics.METRICS[name].decimals}f}"
+            cells.append(f"\\textbf{{{text}}}" if means[name].value == best[name] else text)
         lines.append([escaped(method.name), *cells])
     return latex(["Defogger", *titles], lines)
 
@@ -196,10 +196,10 @@ def _pictures(bench: Bench, path: Path) -> None:
 
 def _answer(bench: Bench, pair: Pair, method: Defogger, worker: MethodWorker) -> Tile:
     row = bench.row(method, pair)
-    taken = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
-    if "error" not in row and taken is not None:
+    source = pair.foggy if method.takes == PNG else pair.files.get(method.takes)
+    if "error" not in row and source is not None:
         try:
-            return tile(worker.ask(taken), f"{method.name}  {row.get('psnr', 0.0):.1f} dB")
+            return tile(worker.ask(source), f"{method.name}  {row.get('psnr', 0.0):.1f} dB")
         except MethodError:
             pass
     return no_answer(method.name)
@@ -238,8 +238,8 @@ def sheet(strips: Sequence[Sequence[Tile]], path: Path) -> None:
     from PIL import Image, ImageDraw, ImageFont
 
     font = ImageFont.load_default(size=14)
-    wide = max(one[0].width for row in strips for one in row) + GAP_PX
-    high = [max(one[0].height for one in row) + CAPTION_PX + GAP_PX for row in strips]
+    wide = max(tile[0].width for row in strips for tile in row) + GAP_PX
+    high = [max(tile[0].height for tile in row) + CAPTION_PX + GAP_PX for row in strips]
     whole = Image.new("RGB", (GAP_PX + wide * max(map(len, strips)), GAP_PX + sum(high)), (24, 24, 26))
     draw, top = ImageDraw.Draw(whole), GAP_PX
     for row, height in zip(strips, high, strict=True):

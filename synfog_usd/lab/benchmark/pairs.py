@@ -58,18 +58,18 @@ def find(source: Path, *, picture: str = "srgb.png", clear: str = "clear", split
     if not source.is_dir():
         raise ParameterError(f"{source}: no such folder")
     if index.is_set(source):
-        found = list(_of_set(source, picture, clear, split))
+        result = list(_of_set(source, picture, clear, split))
     else:
         bakes = list(_bakes_in(source))
-        found = [pair for words, one in bakes for pair in _of_bake(one, picture, clear, words)]
-        found = found if bakes else list(_of_folders(source))
-    if not found:
+        result = [pair for words, folder in bakes for pair in _of_bake(folder, picture, clear, words)]
+        result = result if bakes else list(_of_folders(source))
+    if not result:
         raise ParameterError(
             f"{source}: no pair of a foggy picture and the same view in clear air. It takes a set or bake with "
             f"{picture} under {clear!r} and another fog{f', split {split!r},' if split else ''} or a folder with one "
             f"of {', '.join(FOGGY_FOLDERS)} beside one of {', '.join(CLEAR_FOLDERS)}"
         )
-    return sorted(found, key=lambda pair: pair.name)
+    return sorted(result, key=lambda pair: pair.name)
 
 
 def truth_of(shot: Path, *, picture: str = "srgb.png", clear: str = "clear") -> Path:
@@ -104,24 +104,30 @@ def truth_of(shot: Path, *, picture: str = "srgb.png", clear: str = "clear") -> 
 def _of_set(source: Path, picture: str, clear: str, split: str) -> Iterator[Pair]:
     views: dict[tuple[int, str, str, str], Path] = {}
     foggy = []
-    for one in index.pictures(source):
-        if (split and one.split != split) or picture not in one.files:
+    for entry in index.pictures(source):
+        if (split and entry.split != split) or picture not in entry.files:
             continue
-        view = (one.scene, one.lighting, one.camera, one.pipeline)
-        if one.fog == clear:
-            views[view] = one.files[picture]
+        view = (entry.scene, entry.lighting, entry.camera, entry.pipeline)
+        if entry.fog == clear:
+            views[view] = entry.files[picture]
         else:
-            foggy.append((view, one))
-    for view, one in foggy:
+            foggy.append((view, entry))
+    for view, entry in foggy:
         if view in views:
-            words = [f"{one.scene:06d}", one.lighting, one.camera.strip("/").replace("/", "_"), one.pipeline, one.fog]
+            words = [
+                f"{entry.scene:06d}",
+                entry.lighting,
+                entry.camera.strip("/").replace("/", "_"),
+                entry.pipeline,
+                entry.fog,
+            ]
             yield Pair(
                 "_".join(word for word in words if word),
-                f"{one.scene:06d}",
-                one.fog,
+                f"{entry.scene:06d}",
+                entry.fog,
                 views[view],
-                one.files[picture],
-                dict(one.files),
+                entry.files[picture],
+                dict(entry.files),
             )
 
 
@@ -170,11 +176,11 @@ def _of_folders(source: Path) -> Iterator[Pair]:
     )
     if foggy is None or clear is None:
         return
-    known = {scene_of(path): path for path in sorted(clear.iterdir()) if path.suffix.lower() in SUFFIXES}
+    by_scene = {scene_of(path): path for path in sorted(clear.iterdir()) if path.suffix.lower() in SUFFIXES}
     for path in sorted(foggy.iterdir()):
         scene = scene_of(path)
-        if path.suffix.lower() in SUFFIXES and scene in known:
-            yield Pair(path.stem, scene, "", known[scene], path, {path.name: path})
+        if path.suffix.lower() in SUFFIXES and scene in by_scene:
+            yield Pair(path.stem, scene, "", by_scene[scene], path, {path.name: path})
 
 
 def scene_of(path: Path) -> str:

@@ -25,12 +25,12 @@ def filter_planes(path: Path) -> FloatArray:
     from synfog_usd.camera import writers
 
     image = writers.read_raw(path)
-    told = image.provenance
+    provenance = image.provenance
     mosaic = image.pixels[:, :, 0]
     if mosaic.shape[0] % 2 or mosaic.shape[1] % 2:
         raise ParameterError(f"{path}: {mosaic.shape[1]} x {mosaic.shape[0]} pixels; planes need an even size")
-    black, white = float(told["black_level_dn"]), float(told["white_level_dn"])
-    pattern, neutral = str(told["cfa_pattern"]), told["as_shot_neutral"]
+    black, white = float(provenance["black_level_dn"]), float(provenance["white_level_dn"])
+    pattern, neutral = str(provenance["cfa_pattern"]), provenance["as_shot_neutral"]
     linear = (mosaic - black) / (white - black)
     red, blue = pattern.index("R"), pattern.index("B")
     greens = (red ^ 1, blue ^ 1)  # beside R, and beside B, in its row

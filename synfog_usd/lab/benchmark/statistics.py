@@ -52,13 +52,13 @@ def mean(values: Sequence[float], scenes: Sequence[str], *, seed: int = 0) -> Me
     if names.size < FEWEST_SCENES:
         return Mean(float(numbers.mean()), None, None, numbers.size, names.size)
     sums, counts = np.bincount(place, numbers), np.bincount(place)
-    drawn = draws(names.size, seed)
-    return Mean(float(numbers.mean()), *interval((drawn @ sums) / (drawn @ counts)), numbers.size, names.size)
+    weights = draws(names.size, seed)
+    return Mean(float(numbers.mean()), *interval((weights @ sums) / (weights @ counts)), numbers.size, names.size)
 
 
-def interval(drawn: npt.NDArray[np.float64]) -> tuple[float, float]:
+def interval(values: npt.NDArray[np.float64]) -> tuple[float, float]:
     """Ends of the interval at 95 % of a statistic's values over draws; those that are not defined are left out."""
-    low, high = np.nanquantile(drawn, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    low, high = np.nanquantile(values, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
     return float(low), float(high)
 
 
@@ -76,14 +76,14 @@ def ranks(
         higher: whether more is better.
     """
     better = dict.fromkeys(values, 0)
-    for name, own in values.items():
-        for other, theirs in values.items():
-            shared = sorted(own.keys() & theirs.keys())
-            if name == other or not shared:
+    for name, mine in values.items():
+        for rival, theirs in values.items():
+            shared = sorted(mine.keys() & theirs.keys())
+            if name == rival or not shared:
                 continue
             sign = 1.0 if higher else -1.0
             gain = mean(
-                [sign * (theirs[pair] - own[pair]) for pair in shared], [scenes[pair] for pair in shared], seed=seed
+                [sign * (theirs[pair] - mine[pair]) for pair in shared], [scenes[pair] for pair in shared], seed=seed
             )
             better[name] += gain.low is not None and gain.low > 0.0
     return {name: 1 + count for name, count in better.items()}

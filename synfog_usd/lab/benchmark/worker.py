@@ -65,9 +65,9 @@ class MethodWorker:
             raise MethodError(f"gave no answer within {self.method.timeout_s:g} s") from None
         if not line:
             raise MethodError(self._death(child))
-        said = json.loads(line)
-        if "error" in said:
-            raise MethodError(said["error"])
+        reply = json.loads(line)
+        if "error" in reply:
+            raise MethodError(reply["error"])
         return answer
 
     def close(self) -> None:

@@ -277,10 +277,10 @@ def staged(*, metres_per_unit: float = 1.0, up: str = "Z", offset_m: float = 0.0
     root[:3, 3] = root[:3, :3] @ (offset_m, offset_m, 0.0)
 
     def written(matrix: npt.NDArray[np.float64], scale: float = 1.0) -> str:
-        made = matrix.copy()
-        made[:3, :3] *= scale
-        made[:3, 3] *= unit
-        return "( " + ", ".join(_tuple(row) for row in made.T) + " )"
+        moved = matrix.copy()
+        moved[:3, :3] *= scale
+        moved[:3, 3] *= unit
+        return "( " + ", ".join(_tuple(row) for row in moved.T) + " )"
 
     width = 100.0 * float(np.tan(np.radians(source.camera.fov_x_deg) / 2))
     text = STAGE.format(

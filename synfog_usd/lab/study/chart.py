@@ -337,7 +337,7 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
 
         charts[stage.stem] = chart(replace(plan, stage=stage, out=plan.out / stage.stem), progress=within, lenient=True)
         write_suite(
-            {name: made.points for name, made in charts.items()}, plan.out, drawing, page
+            {name: each.points for name, each in charts.items()}, plan.out, drawing, page
         )  # after each, so that a stopped suite is of use
     return charts
 
@@ -466,26 +466,26 @@ class _Renders:
         return self.loadings[boundaries]
 
 
-def _lines(plan: ChartPlan, asked: Sequence[str], auto: str, notes: list[str]) -> list[_Line]:
+def _lines(plan: ChartPlan, names: Sequence[str], auto: str, notes: list[str]) -> list[_Line]:
     """The sweep: each model as it is, then in its settings; `auto` is the model that a bake takes."""
     from synfog_usd.render import denoise, models
 
-    found, references = [], models.ours_unbiased()
-    for model in asked:
+    result, references = [], models.ours_unbiased()
+    for model in names:
         settings = [PLAIN]
         settings += [Setting(scatterings=depth) for depth in plan.depth if model in references[:1]]
         settings += [Setting(bands=bands) for bands in plan.bands if model in references]
         for setting in settings:
             levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES))})
-            found.append(_Line(model, setting, levels))
+            result.append(_Line(model, setting, levels))
         if plan.quality and model == auto:
             words = {QUALITIES[word].samples: word for word in plan.quality}
             line = _Line(model, Setting(quality=True), sorted(words), words=words)
             if lacking := denoise.available():
                 notes.append(f"{line.name}: left out, {lacking}")
             else:
-                found.append(line)
-    return found
+                result.append(line)
+    return result
 
 
 def _points(
@@ -539,18 +539,18 @@ def _points(
                     machine=machine(),
                 )
             )
-    kept = set(front([(point.seconds, max(point.relative_rms, reference.rms)) for point in points]))
+    on_front = set(front([(point.seconds, max(point.relative_rms, reference.rms)) for point in points]))
     ringed = enough(points, auto, target)
-    return [replace(point, on_front=index in kept, enough=index == ringed) for index, point in enumerate(points)]
+    return [replace(point, on_front=index in on_front, enough=index == ringed) for index, point in enumerate(points)]
 
 
-def _write(made: Chart, out: Path) -> None:
+def _write(result: Chart, out: Path) -> None:
     from synfog_usd.lab.study import drawing, page
 
-    svg, png = drawing.draw_chart(made.points, title=made.title)
-    text = page.page(made.title, svg.decode(), lines(made.points), made.reference, made.pictures, made.notes)
-    notes = "".join(f"{note}\n" for note in made.notes)
-    for name, data in zip(NAMES, (table(made.points).encode(), svg, png, text.encode(), notes.encode()), strict=True):
+    svg, png = drawing.draw_chart(result.points, title=result.title)
+    text = page.page(result.title, svg.decode(), lines(result.points), result.reference, result.pictures, result.notes)
+    notes = "".join(f"{note}\n" for note in result.notes)
+    for name, data in zip(NAMES, (table(result.points).encode(), svg, png, text.encode(), notes.encode()), strict=True):
         files.write_bytes(out / name, data)
 
 
@@ -561,13 +561,13 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     from synfog_usd.translate import translate
 
     stage = usd.open_stage(plan.stage, allow=plan.allow)
-    asked = BakePlan(
+    bake_plan = BakePlan(
         plan.stage,
         plan.out,
         lighting=(plan.lighting,) if plan.lighting else None,
         fog=(plan.fog,) if plan.fog else None,
     )
-    shot = shots(asked, usd.variants(stage))[0]
+    shot = shots(bake_plan, usd.variants(stage))[0]
     if plan.fog is None:
         shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, asked=None)
     if plan.lighting is None:

@@ -224,7 +224,7 @@ def themed(svg: str) -> str:
 def theme() -> str:
     """The CSS variables that `themed` names, on light and dark."""
     light = "".join(f"--{colour[1:]}:{colour};" for colour in DARK)
-    dark = "".join(f"--{colour[1:]}:{other};" for colour, other in DARK.items())
+    dark = "".join(f"--{colour[1:]}:{dark_colour};" for colour, dark_colour in DARK.items())
     return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"
 
 
@@ -260,7 +260,7 @@ def _dash(name: str, names: Iterable[str]) -> str:
     model = name.partition(",")[0]
     if name == model:
         return DASHES[0]
-    return DASHES[1 + [other for other in names if other.startswith(model + ",")].index(name) % (len(DASHES) - 1)]
+    return DASHES[1 + [sibling for sibling in names if sibling.startswith(model + ",")].index(name) % (len(DASHES) - 1)]
 
 
 def _scales(
@@ -277,8 +277,8 @@ def _scales(
     axes.set_ylim(bottom, max(errors) * 1.7)
     axes.set_xlim(min(times) / 1.6, max(times) * (2.4 if dense else 1.5))
     if measure == ERROR:
-        own, name = first.reference_rms, "reference's own error"
-        axes.axhspan(bottom / 100, own, color="#8a9096", alpha=0.22, lw=0, zorder=0, label=name)
+        error, name = first.reference_rms, "reference's own error"
+        axes.axhspan(bottom / 100, error, color="#8a9096", alpha=0.22, lw=0, zorder=0, label=name)
     axes.grid(which="major", color=GRID, lw=0.7)
     spread_x, spread_y = math.log10(max(times) / min(times) * 2), math.log10(max(errors) / bottom)
     for axis, spread, text in (
@@ -434,13 +434,13 @@ class _Labels:
         for distance in (7.0, 10.0, 15.0, 22.0, 32.0, 44.0, 60.0) if required else (6.5, 9.0):
             for dx, dy in DIRECTIONS:
                 reach = distance * self.unit / math.hypot(dx, dy)
-                left = x + dx * reach - width * (0.5 - 0.5 * dx)
+                x0 = x + dx * reach - width * (0.5 - 0.5 * dx)
                 low = y + dy * reach - height * (0.5 - 0.5 * dy)
-                box = (left - self.unit, low, left + width + self.unit, low + height)
+                box = (x0 - self.unit, low, x0 + width + self.unit, low + height)
                 inside = self.frame
                 if box[0] < inside[0] or box[1] < inside[1] or box[2] > inside[2] or box[3] > inside[3]:
                     continue
-                covered = sum(_overlap(box, other) for other in self.boxes)
+                covered = sum(_overlap(box, label_box) for label_box in self.boxes)
                 cost = 10.0 * covered + 0.2 * sum(_holds(box, place) for place in self.strokes) + distance / 20.0
                 to_foreign = min((math.dist(_nearest(box, place), place) for place in foreign), default=math.inf)
                 if math.dist(_nearest(box, (x, y)), (x, y)) > to_foreign:
@@ -448,8 +448,8 @@ class _Labels:
                 yield cost, box, distance
 
 
-def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _holds(box: Sequence[float], place: Sequence[float]) -> bool:
@@ -461,10 +461,10 @@ def _nearest(box: Sequence[float], place: Sequence[float]) -> tuple[float, float
 
 
 def _both(pyplot: Any, figure: Any) -> tuple[bytes, bytes]:
-    drawn = []
+    result = []
     for kind, more in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": 150, "metadata": {"Software": None}})):
         data = io.BytesIO()
         figure.savefig(data, format=kind, facecolor=PAPER if kind == "png" else "none", **more)
-        drawn.append(data.getvalue())
+        result.append(data.getvalue())
     pyplot.close(figure)
-    return drawn[0], drawn[1]
+    return result[0], result[1]

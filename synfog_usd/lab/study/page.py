@@ -61,11 +61,11 @@ def page(
             group = f'<g id="{drawing.point_id(point, measure)}">'
             body = body.replace(group, f"{group}<title>{html.escape(_tip(point))}</title>")
     first = points[0]
-    said = "".join(f"<li>{html.escape(line)}</li>" for line in verdicts("", points))
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in verdicts("", points))
     left_out = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     return _document(
         title,
-        f"<h1>{html.escape(title)}</h1><ul>{said}</ul>{body}"
+        f"<h1>{html.escape(title)}</h1><ul>{items}</ul>{body}"
         "<p class=faint>Down and to the left is better. Hold the pointer over a mark for its numbers. "
         f"The reference, {html.escape(first.reference_model)} with {first.reference_samples} paths per pixel, is "
         f"itself known to "
@@ -240,7 +240,7 @@ def _numbers(points: Sequence[Point]) -> str:
         for p in points
     )
     first = points[0]
-    own = (
+    values = (
         ""
         if math.isnan(first.reference_flip)
         else f" FLIP between the two halves of the reference: {first.reference_flip:.3f}."
@@ -248,7 +248,7 @@ def _numbers(points: Sequence[Point]) -> str:
     head = "".join(f"<th>{name}</th>" for name in names)
     return (
         f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table><small>Bold: on the Pareto "
-        f"front.{own}</small>"
+        f"front.{values}</small>"
     )
 
 

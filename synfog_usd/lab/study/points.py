@@ -132,10 +132,10 @@ def line_name(model: str, setting: Setting) -> str:
 
 def lines(points: Iterable[Point]) -> dict[str, list[Point]]:
     """Points by line, each by rising samples, in the order in which the lines first stand."""
-    found: dict[str, list[Point]] = {}
+    by_line: dict[str, list[Point]] = {}
     for point in points:
-        found.setdefault(point.line, []).append(point)
-    return {name: sorted(line, key=lambda point: point.samples) for name, line in found.items()}
+        by_line.setdefault(point.line, []).append(point)
+    return {name: sorted(line, key=lambda point: point.samples) for name, line in by_line.items()}
 
 
 def front(costs: Sequence[tuple[float, float]]) -> list[int]:
@@ -144,12 +144,12 @@ def front(costs: Sequence[tuple[float, float]]) -> list[int]:
     >>> front([(1.0, 0.5), (2.0, 0.6), (3.0, 0.1), (3.0, 0.2)])
     [0, 2]
     """
-    kept, best = [], math.inf
+    indices, best = [], math.inf
     for index in sorted(range(len(costs)), key=lambda index: costs[index]):
         if costs[index][1] < best:
-            kept.append(index)
+            indices.append(index)
             best = costs[index][1]
-    return kept
+    return indices
 
 
 @dataclass(frozen=True)
@@ -183,8 +183,8 @@ def price(line: Sequence[Point], target: float, measure: str = ERROR) -> Price |
     last = line[-1]
     if last.quality:
         there = [point for point in line if point.amount(measure) <= target]
-        found = min(there, key=lambda point: point.seconds, default=None)
-        return found and Price(last.line, found.samples, found.seconds, 1.0)
+        cheapest = min(there, key=lambda point: point.seconds, default=None)
+        return cheapest and Price(last.line, cheapest.samples, cheapest.seconds, 1.0)
     if measure == MOTTLE:
         clouds = sum(point.mottle**2 * point.samples for point in line) / len(line)
         samples = max(clouds / target**2, float(line[0].samples))
@@ -207,10 +207,10 @@ def _seconds(line: Sequence[Point], samples: float) -> float:
         if slope <= 0.0:
             slope = last.seconds / last.samples
         return last.seconds + slope * (samples - last.samples)
-    for left, right in itertools.pairwise(line):
+    for earlier, right in itertools.pairwise(line):
         if samples <= right.samples:
-            share = (samples - left.samples) / (right.samples - left.samples)
-            return left.seconds + share * (right.seconds - left.seconds)
+            share = (samples - earlier.samples) / (right.samples - earlier.samples)
+            return earlier.seconds + share * (right.seconds - earlier.seconds)
     raise AssertionError("a line's points rise in samples")
 
 
@@ -222,20 +222,20 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
     first = points[0]
     by_line = lines(points)
     for measure, target in TARGETS:
-        prices = {name: found for name, line in by_line.items() if (found := price(line, target, measure))}
-        may = {name: found for name, found in prices.items() if by_line[name][0].counts(measure)}
-        ours = [found for name, found in may.items() if by_line[name][0].model not in peers]
-        fair = [found for found in ours if by_line[found.line][0].unbiased]
-        theirs = [found for name, found in prices.items() if by_line[name][0].model in peers]
+        prices = {name: cost for name, line in by_line.items() if (cost := price(line, target, measure))}
+        may = {name: cost for name, cost in prices.items() if by_line[name][0].counts(measure)}
+        ours = [cost for name, cost in may.items() if by_line[name][0].model not in peers]
+        fair = [cost for cost in ours if by_line[cost.line][0].unbiased]
+        theirs = [cost for name, cost in prices.items() if by_line[name][0].model in peers]
         best, unbiased, peer = (
-            min(group, key=lambda found: found.seconds, default=None) for group in (ours, fair, theirs)
+            min(group, key=lambda cost: cost.seconds, default=None) for group in (ours, fair, theirs)
         )
         row: dict[str, Any] = {"stage": stage, "measure": measure, "target": target}
-        for name, found in (("best", best), ("unbiased", unbiased), ("peer", peer)):
-            row |= {name: found.line if found else "", f"{name}_samples": math.ceil(found.samples) if found else ""}
-            row |= {f"{name}_seconds": found.seconds if found else "", f"{name}_beyond": found.beyond if found else ""}
-        for name, found in (("best", best), ("unbiased", unbiased)):
-            row[f"{name}_speedup"] = peer.seconds / found.seconds if peer and found else ""
+        for name, cost in (("best", best), ("unbiased", unbiased), ("peer", peer)):
+            row |= {name: cost.line if cost else "", f"{name}_samples": math.ceil(cost.samples) if cost else ""}
+            row |= {f"{name}_seconds": cost.seconds if cost else "", f"{name}_beyond": cost.beyond if cost else ""}
+        for name, cost in (("best", best), ("unbiased", unbiased)):
+            row[f"{name}_speedup"] = peer.seconds / cost.seconds if peer and cost else ""
         row |= {"enough": next((f"{point.line}, {point.samples}" for point in points if point.enough), "")}
         row |= {
             "reference_model": first.reference_model,
@@ -261,7 +261,7 @@ def table(rows: Iterable[Point | Mapping[str, Any]]) -> str:
 def read(text: str) -> list[Point]:
     """The points of a `chart.csv`."""
     kinds = {field.name: str(field.type) for field in fields(Point)}
-    made = {
+    readers = {
         "str": str,
         "int": int,
         "float": float,
@@ -269,7 +269,7 @@ def read(text: str) -> list[Point]:
         "int | None": lambda cell: int(cell) if cell else None,
     }
     return [
-        Point(**{name: made[kind](row[name]) for name, kind in kinds.items()})
+        Point(**{name: readers[kind](row[name]) for name, kind in kinds.items()})
         for row in csv.DictReader(io.StringIO(text))
     ]  # type: ignore[operator]
 

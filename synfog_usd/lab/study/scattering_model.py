@@ -126,33 +126,37 @@ class ScatteringStudy:
     def over_noise(self, model: str, lighting: str, axis: str, place: int) -> Mean | None:
         """Geometric mean of the shots' medians in a bin, or None where no shot has one."""
         key = (model, axis, place)
-        return _geometric([(one.over_noise[key], one.scene) for one in self._of(lighting) if key in one.over_noise])
+        return _geometric([(shot.over_noise[key], shot.scene) for shot in self._of(lighting) if key in shot.over_noise])
 
-    def ratio(self, model: str, beside: str, lighting: str, axis: str, place: int) -> Mean | None:
+    def ratio(self, model: str, baseline: str, lighting: str, axis: str, place: int) -> Mean | None:
         """Geometric mean of one model's medians over another's, shot by shot; None where no shot has both."""
-        one, other = (model, axis, place), (beside, axis, place)
-        both = [shot for shot in self._of(lighting) if one in shot.over_noise and shot.over_noise.get(other, 0.0) > 0.0]
-        return _geometric([(shot.over_noise[one] / shot.over_noise[other], shot.scene) for shot in both])
+        key, key_beside = (model, axis, place), (baseline, axis, place)
+        both = [
+            shot for shot in self._of(lighting) if key in shot.over_noise and shot.over_noise.get(key_beside, 0.0) > 0.0
+        ]
+        return _geometric([(shot.over_noise[key] / shot.over_noise[key_beside], shot.scene) for shot in both])
 
     def left(self, lighting: str, axis: str, place: int) -> Mean | None:
         """The same of what rendering left."""
         return _geometric(
-            [(one.left[axis, place], one.scene) for one in self._of(lighting) if (axis, place) in one.left]
+            [(shot.left[axis, place], shot.scene) for shot in self._of(lighting) if (axis, place) in shot.left]
         )
 
     def flip(self, model: str, lighting: str, fog: str) -> Mean | None:
         """Mean of FLIP, or None where it was not measured."""
-        found = [(one.flip[model], one.scene) for one in self._of(lighting) if one.fog == fog and model in one.flip]
-        return statistics.mean(*zip(*found, strict=True)) if found else None
+        values = [
+            (shot.flip[model], shot.scene) for shot in self._of(lighting) if shot.fog == fog and model in shot.flip
+        ]
+        return statistics.mean(*zip(*values, strict=True)) if values else None
 
     def _of(self, lighting: str) -> list[ShotErrors]:
-        return [one for one in self.shots if one.lighting == lighting]
+        return [shot for shot in self.shots if shot.lighting == lighting]
 
 
-def _geometric(found: list[tuple[float, str]]) -> Mean | None:
-    if not found:
+def _geometric(values: list[tuple[float, str]]) -> Mean | None:
+    if not values:
         return None
-    of_logs = statistics.mean([math.log(max(value, 1e-6)) for value, _ in found], [scene for _, scene in found])
+    of_logs = statistics.mean([math.log(max(value, 1e-6)) for value, _ in values], [scene for _, scene in values])
     low, high = (None if end is None else math.exp(end) for end in (of_logs.low, of_logs.high))
     return replace(of_logs, value=math.exp(of_logs.value), low=low, high=high)
 
@@ -204,11 +208,11 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
             yield f"{folder}: bake.json cannot be used ({error})"
 
 
-def some(found: list[FogPair], limit: int | None) -> list[FogPair]:
+def some(pairs_found: list[FogPair], limit: int | None) -> list[FogPair]:
     """At most so many, drawn from all; the same each time."""
-    if limit is None or limit >= len(found):
-        return found
-    return [found[place] for place in sorted(stream(0, "study", "some").permutation(len(found))[:limit])]
+    if limit is None or limit >= len(pairs_found):
+        return pairs_found
+    return [pairs_found[place] for place in sorted(stream(0, "study", "some").permutation(len(pairs_found))[:limit])]
 
 
 def study(source: Path, *, limit: int | None = None, progress: Progress = silent) -> ScatteringStudy:
@@ -222,9 +226,9 @@ def study(source: Path, *, limit: int | None = None, progress: Progress = silent
     Raises:
         ParameterError: nothing in it that can be compared.
     """
-    found = list(pairs(source))
-    left_out = [one for one in found if isinstance(one, str)]
-    usable = some([one for one in found if isinstance(one, FogPair)], limit)
+    every = list(pairs(source))
+    left_out = [entry for entry in every if isinstance(entry, str)]
+    usable = some([entry for entry in every if isinstance(entry, FogPair)], limit)
     shots: list[ShotErrors] = []
     for number, pair in enumerate(usable):
         progress(pair.name, number / len(usable))
@@ -236,7 +240,7 @@ def study(source: Path, *, limit: int | None = None, progress: Progress = silent
         raise ParameterError(
             f"{source}: no foggy shot with a clear frame; {left_out[0] if left_out else 'it is empty'}"
         )
-    return ScatteringStudy(tuple(shots), tuple(left_out), tuple(dict.fromkeys(one.lighting for one in shots)))
+    return ScatteringStudy(tuple(shots), tuple(left_out), tuple(dict.fromkeys(entry.lighting for entry in shots)))
 
 
 def _compare(pair: FogPair) -> ShotErrors:
@@ -262,28 +266,32 @@ def _compare(pair: FogPair) -> ShotErrors:
     def medians(numbers: Array) -> Iterator[tuple[str, int, float]]:
         for axis, where in bins.items():
             for place in np.unique(where):
-                if (found := numbers[where == place]).size >= FEWEST_PX:
-                    yield axis, int(place), float(np.median(found))
+                if (inside := numbers[where == place]).size >= FEWEST_PX:
+                    yield axis, int(place), float(np.median(inside))
 
     white = LINEAR_WHITE_TIMES * float(np.exp(np.log(np.maximum(bright_clear, 1e-6)).mean()))
-    made = models(truth, clear, t, white=white, noise=noise)
+    by_model = models(truth, clear, t, white=white, noise=noise)
     if (scattered := _channels(pair.foggy, [f"airlight_multiple.{name}" for name in truth_image.channels])) is not None:
-        made["single"] = truth - scattered
+        by_model["single"] = truth - scattered
     over_noise = {}
-    for name, model in made.items():
-        beside = made["fitted"] if name == "two_percent" else np.minimum(truth, white) if name == "srgb" else truth
-        miss = np.abs(luminance(np.minimum(model, white) if name == "srgb" else model) - luminance(beside)) / noise
+    for name, model in by_model.items():
+        reference = (
+            by_model["fitted"] if name == "two_percent" else np.minimum(truth, white) if name == "srgb" else truth
+        )
+        miss = np.abs(luminance(np.minimum(model, white) if name == "srgb" else model) - luminance(reference)) / noise
         over_noise |= {(name, axis, place): median for axis, place, median in medians(miss)}
-    left = {}
+    rendering = {}
     of_truth, of_clear = (_channels(folder, ["error.Y"]) for folder in (pair.foggy, pair.clear))
     if of_truth is not None and of_clear is not None:
         renders = np.hypot(of_truth[..., 0], t * of_clear[..., 0]) / noise
-        left = {(axis, place): median for axis, place, median in medians(renders)}
+        rendering = {(axis, place): median for axis, place, median in medians(renders)}
     flip = {}
     if truth.shape[2] == 3 and "flip" in metrics.usable():
-        coded = {name: _coded(model, white) for name, model in {**made, "truth": truth}.items()}
-        flip = {name: metrics.flip(coded[name], coded["fitted" if name == "two_percent" else "truth"]) for name in made}
-    return ShotErrors(pair.scene, pair.name, pair.lighting, pair.fog, over_noise, left, flip)
+        coded = {name: _coded(model, white) for name, model in {**by_model, "truth": truth}.items()}
+        flip = {
+            name: metrics.flip(coded[name], coded["fitted" if name == "two_percent" else "truth"]) for name in by_model
+        }
+    return ShotErrors(pair.scene, pair.name, pair.lighting, pair.fog, over_noise, rendering, flip)
 
 
 def _channels(folder: Path, names: list[str]) -> Array | None:
@@ -314,11 +322,13 @@ def models(truth: Array, clear: Array, t: Array, *, white: float, noise: Array) 
         "horizon": np.median(truth[t < 0.02], axis=0) if (t < 0.02).sum() >= 9 else None,
         "dark_channel": _dark_channel(truth),
     }
-    made = {name: clear * t[..., None] + found * rest for name, found in airlights.items() if found is not None}
-    coded, coded_clear = (srgb_encode(np.clip(one / white, 0.0, 1.0)) for one in (truth, clear))
+    result = {
+        name: clear * t[..., None] + airlight * rest for name, airlight in airlights.items() if airlight is not None
+    }
+    coded, coded_clear = (srgb_encode(np.clip(picture / white, 0.0, 1.0)) for picture in (truth, clear))
     mixed = coded_clear * t[..., None] + _fitted(coded, coded_clear, t, np.ones_like(t)) * rest
     thicker = (t**THICKER)[..., None]
-    return made | {"srgb": white * srgb_decode(mixed), "two_percent": clear * thicker + fitted * (1.0 - thicker)}
+    return result | {"srgb": white * srgb_decode(mixed), "two_percent": clear * thicker + fitted * (1.0 - thicker)}
 
 
 def _fitted(truth: Array, clear: Array, t: Array, weight: Array) -> Array:
@@ -344,7 +354,7 @@ def _from_lamp_deg(clear: Array, fov_x_deg: float | None) -> Array:
     return np.asarray(ndimage.distance_transform_edt(~lamps)) * a_pixel
 
 
-def crossing(found: ScatteringStudy, model: str, lighting: str, axis: str) -> str:
+def crossing(result: ScatteringStudy, model: str, lighting: str, axis: str) -> str:
     """From which bin on the error exceeds the sensor's noise, in words."""
     edges, reach = (
         (DEPTHS, "from optical depth {}") if axis == "depth" else (FROM_LAMP_DEG, "up to {} degrees from a lamp")
@@ -352,7 +362,7 @@ def crossing(found: ScatteringStudy, model: str, lighting: str, axis: str) -> st
     over = [
         place
         for place in range(len(edges) - 1)
-        if (seen := found.over_noise(model, lighting, axis, place)) is not None and seen.value > 1.0
+        if (mean := result.over_noise(model, lighting, axis, place)) is not None and mean.value > 1.0
     ]
     if not over:
         return "nowhere"
@@ -361,21 +371,21 @@ def crossing(found: ScatteringStudy, model: str, lighting: str, axis: str) -> st
     return reach.format(f"{edges[min(over)]:g}" if axis == "depth" else f"{edges[max(over) + 1]:g}")
 
 
-def markdown(found: ScatteringStudy) -> str:
+def markdown(result: ScatteringStudy) -> str:
     """Findings and tables."""
     lines = [
         "# Where the scattering model fails",
         "",
-        f"{len(found.shots)} foggy shots of {len({one.scene for one in found.shots})} scenes. "
+        f"{len(result.shots)} foggy shots of {len({shot.scene for shot in result.shots})} scenes. "
         "|J t + A (1 - t) - truth| over the noise of the sensor in that pixel: above 1 a camera sees the difference. "
         "Medians of each shot's pixels, their geometric mean over shots, and intervals of 95 % by bootstrap over "
         "scenes. The last row is the error that rendering left in truth and clear frame: what is not well above it is "
         "not resolved. `two_percent` is told beside `fitted` and not beside the truth.",
     ]
     titles = {"depth": ("optical depth", DEPTHS), "lamp": ("degrees from the nearest lamp", FROM_LAMP_DEG)}
-    for lighting in found.lightings:
+    for lighting in result.lightings:
         for axis, (title, edges) in titles.items():
-            places = [p for p in range(len(edges) - 1) if found.over_noise(MODELS[0], lighting, axis, p)]
+            places = [p for p in range(len(edges) - 1) if result.over_noise(MODELS[0], lighting, axis, p)]
             if axis == "lamp" and places in ([], [len(edges) - 2]):
                 continue
             heads = [_span(edges[p], edges[p + 1]) for p in places]
@@ -387,68 +397,70 @@ def markdown(found: ScatteringStudy) -> str:
                 f"|---|{'---|' * len(places)}---|",
             ]
             for model in MODELS:
-                cells = [_cell(found.over_noise(model, lighting, axis, p)) for p in places]
+                cells = [_cell(result.over_noise(model, lighting, axis, p)) for p in places]
                 if any(cell != "-" for cell in cells):
-                    lines.append(f"| {model} | {' | '.join(cells)} | {crossing(found, model, lighting, axis)} |")
-            cells = [_cell(found.ratio("srgb", "fitted", lighting, axis, p)) for p in places]
+                    lines.append(f"| {model} | {' | '.join(cells)} | {crossing(result, model, lighting, axis)} |")
+            cells = [_cell(result.ratio("srgb", "fitted", lighting, axis, p)) for p in places]
             lines.append(f"| srgb over fitted, shot by shot | {' | '.join(cells)} | |")
-            cells = [_cell(found.left(lighting, axis, p)) for p in places]
+            cells = [_cell(result.left(lighting, axis, p)) for p in places]
             lines.append(f"| error of the renders | {' | '.join(cells)} | |")
-        fogs = list(dict.fromkeys(one.fog for one in found.shots if one.lighting == lighting and one.flip))
+        fogs = list(dict.fromkeys(shot.fog for shot in result.shots if shot.lighting == lighting and shot.flip))
         if fogs:
             lines += ["", f"## {lighting}, FLIP", "", f"| model | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
             for model in MODELS:
-                cells = [_cell(found.flip(model, lighting, fog)) for fog in fogs]
+                cells = [_cell(result.flip(model, lighting, fog)) for fog in fogs]
                 if any(cell != "-" for cell in cells):
                     lines.append(f"| {model} | {' | '.join(cells)} |")
-    for line in found.left_out[:5]:
+    for line in result.left_out[:5]:
         lines += ["", f"Left out: {line}"]
-    if len(found.left_out) > 5:
-        lines += ["", f"and {len(found.left_out) - 5} more."]
+    if len(result.left_out) > 5:
+        lines += ["", f"and {len(result.left_out) - 5} more."]
     return "\n".join([*lines, ""])
 
 
-def write(found: ScatteringStudy, out: Path) -> None:
+def write(result: ScatteringStudy, out: Path) -> None:
     """Write findings.md, findings.csv (a row for each shot, model and bin) and findings.png.
 
     Raises:
         OutputError: the folder cannot be written.
     """
-    files.write_bytes(out / "findings.md", markdown(found).encode())
+    files.write_bytes(out / "findings.md", markdown(result).encode())
     rows = ["scene,shot,lighting,fog,model,axis,low,high,median_over_noise,flip"]
-    for one in found.shots:
-        name = f"{one.scene},{one.name},{one.lighting},{one.fog}"
-        for (model, axis, place), median in sorted(one.over_noise.items()):
+    for shot in result.shots:
+        name = f"{shot.scene},{shot.name},{shot.lighting},{shot.fog}"
+        for (model, axis, place), median in sorted(shot.over_noise.items()):
             edges = DEPTHS if axis == "depth" else FROM_LAMP_DEG
             rows.append(f"{name},{model},{axis},{edges[place]:g},{edges[place + 1]:g},{median:.4g},")
-        rows += [f"{name},{model},picture,,,,{value:.4g}" for model, value in sorted(one.flip.items())]
+        rows += [f"{name},{model},picture,,,,{value:.4g}" for model, value in sorted(shot.flip.items())]
     files.write_bytes(out / "findings.csv", "\n".join([*rows, ""]).encode())
-    files.write_bytes(out / "findings.png", _drawn(found))
+    files.write_bytes(out / "findings.png", _drawn(result))
 
 
-def _drawn(found: ScatteringStudy) -> bytes:
+def _drawn(result: ScatteringStudy) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(1.5 + 4.5 * len(found.lightings), 4.0), dpi=120, layout="constrained")
+    figure = Figure(figsize=(1.5 + 4.5 * len(result.lightings), 4.0), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     colours = dict(zip(MODELS, ("#0b5fa5", "#12805c", "#c1440e", "#8a5a9e", "#b8860b", "#7a7f85"), strict=True))
-    for column, lighting in enumerate(found.lightings):
-        axes = figure.add_subplot(1, len(found.lightings), column + 1)
+    for column, lighting in enumerate(result.lightings):
+        axes = figure.add_subplot(1, len(result.lightings), column + 1)
         places = range(len(DEPTHS) - 1)
         for model in MODELS:
-            cells = [found.over_noise(model, lighting, "depth", p) for p in places]
+            cells = [result.over_noise(model, lighting, "depth", p) for p in places]
             if not any(cells):
                 continue
-            axes.plot(places, [_value(one) for one in cells], "o-", color=colours[model], label=model.replace("_", " "))
+            axes.plot(
+                places, [_value(cell) for cell in cells], "o-", color=colours[model], label=model.replace("_", " ")
+            )
             ends = [
-                (_value(one) if end is None else end)
-                for one in cells
-                for end in ((one.low, one.high) if one else (None, None))
+                (_value(cell) if end is None else end)
+                for cell in cells
+                for end in ((cell.low, cell.high) if cell else (None, None))
             ]
             axes.fill_between(places, ends[::2], ends[1::2], color=colours[model], alpha=0.15, linewidth=0)
-        own = [_value(found.left(lighting, "depth", p)) for p in places]
-        axes.plot(places, own, "--", color="#666b70", label="error of the renders")
+        rendering = [_value(result.left(lighting, "depth", p)) for p in places]
+        axes.plot(places, rendering, "--", color="#666b70", label="error of the renders")
         axes.axhline(1.0, color="#22262a", linewidth=0.8)
         axes.set_yscale("log")
         axes.set_ylim(bottom=LEAST_DRAWN)
@@ -467,11 +479,11 @@ def _span(low: float, high: float) -> str:
     return f"{low:g} to {high:g}" if math.isfinite(high) else f"over {low:g}"
 
 
-def _value(found: Mean | None) -> float:
-    return math.nan if found is None else found.value
+def _value(mean: Mean | None) -> float:
+    return math.nan if mean is None else mean.value
 
 
-def _cell(found: Mean | None) -> str:
-    if found is None:
+def _cell(mean: Mean | None) -> str:
+    if mean is None:
         return "-"
-    return f"{found.value:.2g}" + ("" if found.low is None else f" ({found.low:.2g} to {found.high:.2g})")
+    return f"{mean.value:.2g}" + ("" if mean.low is None else f" ({mean.low:.2g} to {mean.high:.2g})")

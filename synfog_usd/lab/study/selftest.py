@@ -97,11 +97,11 @@ def run(cases: Iterable[Case] | None = None, *, quick: bool = False) -> Iterator
         quick: only those that are marked so.
     """
     for case in select(quick) if cases is None else cases:
-        known = case.build()
+        world = case.build()
         row = []
         for name in models.MODELS:
             start = time.monotonic()
-            row.append(replace(measure(case, known, name), seconds=time.monotonic() - start))
+            row.append(replace(measure(case, world, name), seconds=time.monotonic() - start))
         yield row
 
 
@@ -110,32 +110,32 @@ def select(quick: bool = False) -> list[Case]:
     return [case for case in every() if case.quick or not quick]
 
 
-def measure(case: Case, known: Known, model: str) -> Result:
+def measure(case: Case, world: Known, model: str) -> Result:
     """One model in one case."""
     ours = not models.MODELS[model].peer
     counted = ours and model in case.holds
     if model in case.skip or (case.aov and not counted):
         return Result(case.name, model, SKIPPED, counted)
     if case.aov:
-        assert known.truth is not None
-        seen = aovs.measure(load(known.scene)).transmittance.astype(np.float64)
+        assert world.truth is not None
+        transmittance = aovs.measure(load(world.scene)).transmittance.astype(np.float64)
         return _judge(
             case,
             model,
             counted,
-            np.full(SEEDS, seen.mean())[:, None],
+            np.full(SEEDS, transmittance.mean())[:, None],
             np.zeros(1),
-            np.atleast_1d(np.mean(known.truth)),
+            np.atleast_1d(np.mean(world.truth)),
             np.zeros(1),
         )
     samples = case.samples if ours else case.peer_samples
     try:
-        if problem := models.MODELS[model].refuses(known.scene):
+        if problem := models.MODELS[model].refuses(world.scene):
             return Result(case.name, model, REFUSED, counted, why=problem)
-        first = _render(known.scene, model, samples, case.bands, 0)
+        first = _render(world.scene, model, samples, case.bands, 0)
         second = None
-        if known.other is not None:
-            second = _render(known.other, model, samples, case.bands, SEEDS)
+        if world.other is not None:
+            second = _render(world.other, model, samples, case.bands, SEEDS)
     except SynfogError as error:
         return Result(case.name, model, REFUSED, counted, why=str(error))
     except Exception as error:  # whatever a model of a later day may raise belongs in the table
@@ -146,10 +146,10 @@ def measure(case: Case, known: Known, model: str) -> Result:
         return Result(case.name, model, NEGATIVE, counted, failed=ours, count=below)
     if second is not None:
         return _judge(case, model, counted, first.means, first.error, second.means.mean(axis=0), second.error)
-    if known.truth is None:
+    if world.truth is None:
         return Result(case.name, model, FINITE, counted)
-    camera = known.scene.camera
-    truth = _bands(np.broadcast_to(known.truth, (camera.height_px, camera.width_px)), case.bands)
+    camera = world.scene.camera
+    truth = _bands(np.broadcast_to(world.truth, (camera.height_px, camera.width_px)), case.bands)
     return _judge(case, model, counted, first.means, first.error, truth, np.zeros(len(truth)))
 
 
