@@ -166,14 +166,14 @@ class Field:
 
 def _at(table: Array, nm: float) -> Array:
     """(3, F) variances along the radius and across it, and shift, at a wavelength [px^2, px]."""
-    along, across, short, long, left, right = table
+    along, across, short, long, lower, upper = table
 
     def between(low: Array, high: Array) -> Array:
         part = (nm - COLOURS_NM[1]) / (COLOURS_NM[1] - COLOURS_NM[0])
         return -part * low if part < 0.0 else part * high
 
     wider = between(short**2, long**2)
-    return np.stack([along**2 + wider, across**2 + wider, between(left, right)])
+    return np.stack([along**2 + wider, across**2 + wider, between(lower, upper)])
 
 
 @dataclass(frozen=True)
@@ -238,17 +238,17 @@ def spread_by_place(
     tops, lefts = (range(0, length + 2 * reach + step, step) for length in (height, width))
     total = np.zeros((tops[-1] + size, lefts[-1] + size))  # begins `reach` before the padded picture
     for top in tops:
-        for left in lefts:
-            here = slice(top, top + 2 * step), slice(left, left + 2 * step)
+        for column_px in lefts:
+            here = slice(top, top + 2 * step), slice(column_px, column_px + 2 * step)
             tile = padded[here]
             share = weight[: tile.shape[0], None] * weight[None, : tile.shape[1]]
-            place = top - edge + step - 0.5, left - edge + step - 0.5
+            place = top - edge + step - 0.5, column_px - edge + step - 0.5
             spectrum = fft.rfft2(tile * share, s=(size, size))
             spectrum *= transfer(*place, False)
             if lamps[here].any():
                 spectrum += fft.rfft2(lamps[here] * share, s=(size, size)) * transfer(*place, True)
-            found = fft.irfft2(spectrum, s=(size, size))
-            total[top : top + size, left : left + size] += np.roll(found, (reach, reach), axis=(0, 1))
+            convolved = fft.irfft2(spectrum, s=(size, size))
+            total[top : top + size, column_px : column_px + size] += np.roll(convolved, (reach, reach), axis=(0, 1))
     inner = total[edge + reach :, edge + reach :][:height, :width]
     return np.maximum(inner, 0.0).astype(np.float32)
 
@@ -280,12 +280,12 @@ class _Waves:
 
         What both axes share goes along a diagonal, and a shift between two pixels takes its own variance off.
         """
-        shift, taken = 1.0 + 0.0j, []
+        shift, factors = 1.0 + 0.0j, []
         for way, frequency in ((right, self.fx), (down, self.fy)):
             whole = math.floor(way)
             part = way - whole
-            taken.append(part * (1.0 - part))
+            factors.append(part * (1.0 - part))
             shift = shift * np.exp(-1j * frequency * whole) * (1.0 - part + part * np.exp(-1j * frequency))
         diagonal = self.falling if xy > 0.0 else self.rising
-        width = max(xx - abs(xy) - taken[0], 0.0), max(yy - abs(xy) - taken[1], 0.0)
+        width = max(xx - abs(xy) - factors[0], 0.0), max(yy - abs(xy) - factors[1], 0.0)
         return np.asarray(np.exp(width[0] * self.x + width[1] * self.y + abs(xy) * diagonal) * shift)

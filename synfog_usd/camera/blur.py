@@ -220,8 +220,8 @@ class _Measured:
         """Measure the first, middle and last channel."""
         channels = sorted({0, image.pixels.shape[2] // 2, image.pixels.shape[2] - 1})
         middle = channels[len(channels) // 2]
-        top, left = _busiest(np.minimum(image.pixels[::4, ::4, middle], limits[middle]), image.pixels.shape[:2])
-        crop = image.pixels[top : top + CROP_PX, left : left + CROP_PX]
+        top, column = _busiest(np.minimum(image.pixels[::4, ::4, middle], limits[middle]), image.pixels.shape[:2])
+        crop = image.pixels[top : top + CROP_PX, column : column + CROP_PX]
         frequency, power = _power([np.minimum(crop[..., channel], limits[channel]) for channel in channels])
         truth = weights[channels] @ _aperture_transfers(per_nm, frequency.size)
         spot = spread.spot_transfer(spot_px, frequency)
@@ -231,11 +231,11 @@ class _Measured:
     def error(self, mode: str) -> float:
         """RMS difference to the truth, as a part of the mean level; the worst channel."""
         if mode == "none":
-            found = np.ones_like(self.truth)
+            transfer = np.ones_like(self.truth)
         else:
             q = self.mean_q if mode == "band" else np.full_like(self.mean_q, self.all_q)
-            found = spread.aperture_transfer(np.outer(q, self.frequency)) * self.spot
-        return float(np.sqrt((self.power * (found - self.truth) ** 2).sum(axis=1)).max())
+            transfer = spread.aperture_transfer(np.outer(q, self.frequency)) * self.spot
+        return float(np.sqrt((self.power * (transfer - self.truth) ** 2).sum(axis=1)).max())
 
     @property
     def contrast(self) -> float:
@@ -246,9 +246,9 @@ class _Measured:
 @functools.lru_cache(maxsize=4)
 def _aperture_transfers(per_nm: float, count: int) -> Array:
     """(401, count) transfer of each wavelength at the first frequencies of `_power`; read-only."""
-    found = spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, np.arange(count) / BINS))
-    found.flags.writeable = False
-    return found
+    rows_of_transfer = spread.aperture_transfer(np.outer(photometry.WAVELENGTHS_NM * per_nm, np.arange(count) / BINS))
+    rows_of_transfer.flags.writeable = False
+    return rows_of_transfer
 
 
 def _chosen(
@@ -284,8 +284,8 @@ def _busiest(some: FloatArray, shape: tuple[int, ...]) -> tuple[int, int]:
     blocks = some[: rows * row_px, : columns * column_px].reshape(rows, row_px, columns, column_px)
     row, column = np.unravel_index(int(blocks.var(axis=(1, 3)).argmax()), (rows, columns))
     middle = (4 * int(row) * row_px + 2 * row_px, 4 * int(column) * column_px + 2 * column_px)
-    top, left = (max(0, min(at - CROP_PX // 2, length - CROP_PX)) for at, length in zip(middle, shape, strict=True))
-    return top, left
+    top, x0 = (max(0, min(at - CROP_PX // 2, length - CROP_PX)) for at, length in zip(middle, shape, strict=True))
+    return top, x0
 
 
 def _power(crops: Sequence[FloatArray]) -> tuple[Array, Array]:
@@ -297,12 +297,12 @@ def _power(crops: Sequence[FloatArray]) -> tuple[Array, Array]:
     from scipy import fft
 
     bins = _bins(*crops[0].shape)
-    found = []
+    spectra = []
     for crop in crops:
         terms = np.square(fft.dctn(crop, norm="ortho"), dtype=np.float64).ravel()
         mean2, terms[0] = terms[0] / crop.size, 0.0
-        found.append(np.bincount(bins, weights=terms, minlength=364) / (crop.size * max(mean2, 1e-300)))
-    return np.arange(found[0].size) / BINS, np.array(found)
+        spectra.append(np.bincount(bins, weights=terms, minlength=364) / (crop.size * max(mean2, 1e-300)))
+    return np.arange(spectra[0].size) / BINS, np.array(spectra)
 
 
 @functools.lru_cache(maxsize=2)

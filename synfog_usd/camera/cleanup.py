@@ -129,10 +129,10 @@ def denoise(
         variance = _variance(smooth, shot, dark)
         for detail, part in zip(details, starlet_noise(levels), strict=True):
             power = np.maximum(detail * detail, np.float32(1e-30))
-            kept = variance * np.float32(-((strength * part) ** 2))
-            kept /= power
-            kept += np.float32(1.0)
-            detail *= np.maximum(kept, 0.0, out=kept)
+            residual = variance * np.float32(-((strength * part) ** 2))
+            residual /= power
+            residual += np.float32(1.0)
+            detail *= np.maximum(residual, 0.0, out=residual)
             smooth = smooth + detail
         pixels[(*where, 0)] = smooth
     return image.with_pixels(pixels).with_metadata(denoise=strength)
@@ -158,19 +158,19 @@ def false_colour(image: Image) -> Image:
     for top in range(0, image.height_px, STRIP_PX):
         first = max(top - rim, 0)
         rows = image.pixels[first : top + STRIP_PX + rim]
-        own = slice(top - first, top - first + STRIP_PX)
+        inner = slice(top - first, top - first + STRIP_PX)
         green = rows[..., 1]
-        pixels[top : top + STRIP_PX, :, 1] = green[own]
+        pixels[top : top + STRIP_PX, :, 1] = green[inner]
         for channel in (0, 2):
             difference = rows[..., channel] - green
             for reach in REACH_PX:
                 _median_of_three(difference, reach)
                 if (width := image.width_px) > 2 * reach:
                     rims = [*range(reach), *range(width - reach, width)]
-                    kept = difference[:, rims]
+                    centre = difference[:, rims]
                     _median_of_three(difference.reshape(-1), reach)  # one long line is faster than many
-                    difference[:, rims] = kept
-            np.add(green[own], difference[own], out=pixels[top : top + STRIP_PX, :, channel])
+                    difference[:, rims] = centre
+            np.add(green[inner], difference[inner], out=pixels[top : top + STRIP_PX, :, channel])
     return image.with_pixels(pixels)
 
 
@@ -214,14 +214,14 @@ def starlet_noise(levels: int) -> list[float]:
     >>> [round(value, 3) for value in starlet_noise(3)]
     [0.891, 0.201, 0.086]
     """
-    found = []
+    sigmas = []
     narrow = np.ones(1)
     for level in range(levels):
         wide = np.convolve(narrow, _dilated(level))
         padded = np.pad(narrow, (wide.size - narrow.size) // 2)
-        found.append(float(np.sqrt((padded @ padded) ** 2 + (wide @ wide) ** 2 - 2.0 * (padded @ wide) ** 2)))
+        sigmas.append(float(np.sqrt((padded @ padded) ** 2 + (wide @ wide) ** 2 - 2.0 * (padded @ wide) ** 2)))
         narrow = wide
-    return found
+    return sigmas
 
 
 def _median_of_three(plane: FloatArray, reach: int) -> None:

@@ -124,13 +124,13 @@ def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out
     sites = [("RGB"[number], where[0].start, where[1].start) for where, number in cfa.sites(pattern)]
     for letter, row, column in sites:
         if letter != "G":
-            own = green[row::2, column::2]
-            own -= down[1:-1, 1:-1][row::2, column::2]
+            native = green[row::2, column::2]
+            native -= down[1:-1, 1:-1][row::2, column::2]
     for letter, row, column in sites:
         if letter != "G":
             lines, plane = np.empty((rows // 2 + 2, columns), np.float32), out[..., "RGB".index(letter)]
-            known = down[(row + 1) % 2 :: 2, (column + 1) % 2 :: 2]  # from one row and column outside on, where odd
-            _between(known.T, column, lines[: len(known)].T)
+            measured = down[(row + 1) % 2 :: 2, (column + 1) % 2 :: 2]  # from one row and column outside on, where odd
+            _between(measured.T, column, lines[: len(measured)].T)
             _between(lines, row, plane)
             plane += green
             plane[row::2, column::2] = mosaic[row::2, column::2]  # but for its rounding it is that already
@@ -143,8 +143,8 @@ def _differences(signed: FloatArray) -> FloatArray:
     many.
     """
     height, length = signed.shape
-    found = np.empty((height - 10, length), np.float32)
-    line = found.reshape(-1)[:-10]  # to one pixel behind the last
+    result = np.empty((height - 10, length), np.float32)
+    line = result.reshape(-1)[:-10]  # to one pixel behind the last
     across, weight = _along(signed[3:-3].reshape(-1), 1, length, slice(2 * length + 5, 2 * length + 5 + line.size))
     down, change = _along(signed.reshape(-1), length, 1, slice(5 * length + 5, 5 * length + 5 + line.size))
     change += np.float32(1e-16)
@@ -154,12 +154,12 @@ def _differences(signed: FloatArray) -> FloatArray:
     across *= weight
     down += across  # w h + (1 - w) v
     np.multiply(down, np.float32(1.0 / 16.0), out=line)
-    return found[:, :-10]
+    return result[:, :-10]
 
 
-def _along(line: FloatArray, step: int, other: int, places: slice) -> tuple[FloatArray, FloatArray]:
+def _along(line: FloatArray, step: int, other_step: int, places: slice) -> tuple[FloatArray, FloatArray]:
     """16 times the smoothed colour differences between pixels `step` apart, and 10,000 times the square of how much
-    they change, at some places of a line; `other` is the way across.
+    they change, at some places of a line; `other_step` is the way across.
 
     By sums of two neighbours, of which (1 2 2 2 1) and (1 2 1) are made.
     """
@@ -170,23 +170,23 @@ def _along(line: FloatArray, step: int, other: int, places: slice) -> tuple[Floa
     smooth = pairs[:-step] + pairs[step:]  # from 3 steps on
     change = difference[2 * step :] - difference[: -2 * step]
     np.abs(change, out=change)
-    change = _sums_of_five(_sums_of_five(change, step), other)  # from 5 steps, and 2 across, on
+    change = _sums_of_five(_sums_of_five(change, step), other_step)  # from 5 steps, and 2 across, on
     first, count = places.start, places.stop - places.start
-    smooth, change = smooth[first - 3 * step :][:count], change[first - 5 * step - 2 * other :][:count]
+    smooth, change = smooth[first - 3 * step :][:count], change[first - 5 * step - 2 * other_step :][:count]
     return smooth, np.multiply(change, change, out=change)
 
 
 def _sums_of_five(line: FloatArray, step: int) -> FloatArray:
     pairs = line[:-step] + line[step:]
-    found = pairs[: -3 * step] + pairs[2 * step : -step]
-    found += line[4 * step :]
-    return found
+    sums = pairs[: -3 * step] + pairs[2 * step : -step]
+    sums += line[4 * step :]
+    return sums
 
 
 def _between(values: FloatArray, first: int, out: FloatArray) -> None:
     """Rows known at 0, 2 ... or, where `first` is 1, at -1, 1 ..., and between them the means of two neighbours."""
-    known, gaps = out[first::2], out[1 - first :: 2]
-    known[...] = values[first:][: len(known)]
+    samples, gaps = out[first::2], out[1 - first :: 2]
+    samples[...] = values[first:][: len(samples)]
     np.add(values[: len(gaps)], values[1 : len(gaps) + 1], out=gaps)
     gaps *= np.float32(0.5)
 
@@ -202,10 +202,10 @@ def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
     from scipy.ndimage import convolve1d
 
     height, width = mosaic.shape
-    own = [where for where, number in cfa.sites(pattern) if cfa.filters(pattern)[number] == letter]
+    sites = [where for where, number in cfa.sites(pattern) if cfa.filters(pattern)[number] == letter]
     tent = (1.0, 2.0, 1.0)
     plane, weights = np.zeros_like(mosaic), np.zeros_like(mosaic)
-    for where in own:
+    for where in sites:
         plane[where] = mosaic[where]
         there = [np.zeros(size, dtype=np.float32) for size in (height, width)]
         for line, grid in zip(there, where, strict=True):
@@ -214,7 +214,7 @@ def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
     for axis in (0, 1):
         plane = convolve1d(plane, tent, axis=axis, mode="constant")
     plane /= weights
-    for where in own:
+    for where in sites:
         plane[where] = mosaic[where]
     return plane
 

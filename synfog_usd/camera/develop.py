@@ -111,7 +111,10 @@ def develop(
     images = {name: field_of_view(image, graph) for name, image in images.items()}
     if exposure is None:
         exposure = metered(graph, images)
-    taken_by = next((told for image in images.values() if (told := image.provenance.get("specimen"))), None)
+    taken_by = next(
+        (specimen_of_image for image in images.values() if (specimen_of_image := image.provenance.get("specimen"))),
+        None,
+    )
     return graph.run(
         images,
         seed=seed if taken_by is None else seed32(seed, "specimen", str(taken_by)),
@@ -129,9 +132,9 @@ def metered(graph: NodeGraph, images: Mapping[str, Image], *, compensation_ev: f
     Raises:
         GraphError: see `meter`.
     """
-    known = set[str]().union(*(image.provenance for image in images.values()))
+    recorded = set[str]().union(*(image.provenance for image in images.values()))
     radiance = next((image for image in images.values() if image.quantity is Quantity.RADIANCE), None)
-    if radiance is None or exposure_left_open(graph) <= known:
+    if radiance is None or exposure_left_open(graph) <= recorded:
         return None
     return meter(radiance, graph, compensation_ev=compensation_ev)
 

@@ -109,16 +109,20 @@ def distortion(
     if not coefficients:
         return image
     rendered = Pinhole(image.height_px, image.width_px, fov_x_deg, (shift_x, shift_y))
-    taken = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
-    warp = warp_of(rendered, tuple(coefficients), fit, taken)
+    sensor_view = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
+    warp = warp_of(rendered, tuple(coefficients), fit, sensor_view)
     metadata: dict[str, Any] = {
         "distortion_coefficients": list(coefficients),
         "distortion_fit": fit,
         "camera_matrix_px": warp.camera_matrix(),
     }
-    if taken is not None:
+    if sensor_view is not None:
         metadata |= {"distortion_source": [image.height_px, image.width_px, fov_x_deg, shift_x, shift_y], "view": None}
-        metadata |= {"fov_x_deg": taken.fov_x_deg, "shift_x": taken.shift[0], "shift_y": taken.shift[1]}
+        metadata |= {
+            "fov_x_deg": sensor_view.fov_x_deg,
+            "shift_x": sensor_view.shift[0],
+            "shift_y": sensor_view.shift[1],
+        }
     pixels = _resampled(image.pixels, warp.row, warp.column)
     if warp.taps:
         pixels = sum(
@@ -187,35 +191,35 @@ class Warp:
         return np.rint(self.row).astype(np.intp), np.rint(self.column).astype(np.intp)
 
 
-def source_of(metadata: Mapping[str, Any], taken: Pinhole) -> Pinhole:
-    """The picture that was rendered for one that was `taken`: the same, unless the `metadata` tells of a wider
+def source_of(metadata: Mapping[str, Any], sensor_view: Pinhole) -> Pinhole:
+    """The picture that was rendered for one that was `sensor_view`: the same, unless the `metadata` tells of a wider
     one.
     """
     if "distortion_source" not in metadata:
-        return taken
+        return sensor_view
     height, width, fov_x_deg, *shift = metadata["distortion_source"]
     return Pinhole(height, width, fov_x_deg, (shift[0], shift[1]))
 
 
-def warped_like(plane: FloatArray, metadata: Mapping[str, Any], taken: Pinhole) -> FloatArray:
+def warped_like(plane: FloatArray, metadata: Mapping[str, Any], sensor_view: Pinhole) -> FloatArray:
     """A smooth plane of the rendered picture, such as the falloff, where the `metadata` says that the one
-    `taken` was warped.
+    `sensor_view` was warped.
     """
     if "distortion_coefficients" not in metadata:
         return plane
     from scipy.ndimage import map_coordinates
 
-    source = source_of(metadata, taken)
+    source = source_of(metadata, sensor_view)
     warp = warp_of(
         source,
         tuple(metadata["distortion_coefficients"]),
         metadata["distortion_fit"],
-        taken if "distortion_source" in metadata else None,
+        sensor_view if "distortion_source" in metadata else None,
     )
     return np.asarray(map_coordinates(plane, [warp.row, warp.column], order=1, mode="nearest"))
 
 
-def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
+def to_render(graph: NodeGraph, sensor_view: Pinhole) -> Pinhole | None:
     """What has to be rendered for a camera whose graph distorts: all that its pixels see, `DENSITY` pixels for each,
     each way; None where nothing is bent.
 
@@ -226,10 +230,10 @@ def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
     node = _node(graph)
     if node is None:
         return None
-    focal_px, middle = taken.focal_px, taken.axis_px
-    columns, rows = np.linspace(-1.0, taken.width_px, 257), np.linspace(-1.0, taken.height_px, 257)
-    border_x = np.concatenate([columns, columns, np.full(257, -1.0), np.full(257, taken.width_px)])
-    border_y = np.concatenate([np.full(257, -1.0), np.full(257, taken.height_px), rows, rows])
+    focal_px, middle = sensor_view.focal_px, sensor_view.axis_px
+    columns, rows = np.linspace(-1.0, sensor_view.width_px, 257), np.linspace(-1.0, sensor_view.height_px, 257)
+    border_x = np.concatenate([columns, columns, np.full(257, -1.0), np.full(257, sensor_view.width_px)])
+    border_y = np.concatenate([np.full(257, -1.0), np.full(257, sensor_view.height_px), rows, rows])
     bent = _undistorted(
         (border_x - middle[0]) / focal_px, (border_y - middle[1]) / focal_px, tuple(node.params["coefficients"].value)
     )
@@ -238,22 +242,22 @@ def to_render(graph: NodeGraph, taken: Pinhole) -> Pinhole | None:
     stretched = float(np.sqrt(0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4.0 * determinant**2, 0.0)))).max())
     density = max(DENSITY, DENSER * stretched)
     sizes, shifts = [], []
-    for seen in bent:
-        low, high = float(seen.min()) * focal_px * density, float(seen.max()) * focal_px * density
+    for warp in bent:
+        low, high = float(warp.min()) * focal_px * density, float(warp.max()) * focal_px * density
         sizes.append(math.ceil(high - low) + 2 * MARGIN_PX)
         shifts.append(-0.5 * (low + high) / sizes[-1])
     fov_x_deg = math.degrees(2 * math.atan(sizes[0] / 2 / (focal_px * density)))
     return Pinhole(sizes[1], sizes[0], fov_x_deg, (shifts[0], -shifts[1]))
 
 
-def of_graph(graph: NodeGraph, rendered: Pinhole, taken: Pinhole | None = None) -> tuple[str, Warp] | None:
+def of_graph(graph: NodeGraph, rendered: Pinhole, sensor_view: Pinhole | None = None) -> tuple[str, Warp] | None:
     """Name and warp of a graph's distortion node for the pinhole picture that it will get; None where it has none, or a
     lens without distortion.
 
     Args:
         graph: of camera ops.
         rendered: the picture that it will get.
-        taken: what the sensor takes of it, where that is another.
+        sensor_view: what the sensor takes of it, where that is another.
 
     Raises:
         GraphError: several such nodes.
@@ -263,11 +267,13 @@ def of_graph(graph: NodeGraph, rendered: Pinhole, taken: Pinhole | None = None) 
     if node is None:
         return None
     params = node.params
-    given = {"fov_x_deg": rendered.fov_x_deg, "shift_x": rendered.shift[0], "shift_y": rendered.shift[1]}
-    seen = {name: value if params[name].is_auto else params[name].value for name, value in given.items()}
+    geometry = {"fov_x_deg": rendered.fov_x_deg, "shift_x": rendered.shift[0], "shift_y": rendered.shift[1]}
+    arguments = {name: value if params[name].is_auto else params[name].value for name, value in geometry.items()}
     coefficients = tuple(params["coefficients"].value)
-    source = Pinhole(rendered.height_px, rendered.width_px, seen["fov_x_deg"], (seen["shift_x"], seen["shift_y"]))
-    return node.name, warp_of(source, coefficients, params["fit"].value, taken)
+    source = Pinhole(
+        rendered.height_px, rendered.width_px, arguments["fov_x_deg"], (arguments["shift_x"], arguments["shift_y"])
+    )
+    return node.name, warp_of(source, coefficients, params["fit"].value, sensor_view)
 
 
 def _node(graph: NodeGraph) -> Node | None:
@@ -283,7 +289,7 @@ def _node(graph: NodeGraph) -> Node | None:
 
 
 @functools.lru_cache(maxsize=2)
-def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken: Pinhole | None = None) -> Warp:
+def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, sensor_view: Pinhole | None = None) -> Warp:
     """The map of a picture; arguments and errors as in `distortion`."""
     if len(coefficients) not in (4, 5, 8):
         raise ImageError(
@@ -291,15 +297,15 @@ def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken:
             f"8 of them"
         )
     height, width, focal_px, centre = rendered.height_px, rendered.width_px, rendered.focal_px, rendered.axis_px
-    left, right = (0.0, width - 1.0) if width > 1 else (-0.5, 0.5)
+    first_px, right = (0.0, width - 1.0) if width > 1 else (-0.5, 0.5)
     top, bottom = (0.0, height - 1.0) if height > 1 else (-0.5, 0.5)
-    if not (left < centre[0] < right and top < centre[1] < bottom):
+    if not (first_px < centre[0] < right and top < centre[1] < bottom):
         raise ImageError(
             f"the axis is at column {centre[0]:.0f}, row {centre[1]:.0f}, outside the picture of {width} x {height}; "
             f"distortion needs it inside"
         )
-    if taken is not None:
-        return _viewed(taken, rendered, coefficients)
+    if sensor_view is not None:
+        return _viewed(sensor_view, rendered, coefficients)
     columns, rows = (np.linspace(-0.5, length - 0.5, max(9, length // STEP_PX + 2)) for length in (width, height))
     x, y = np.meshgrid((columns - centre[0]) / focal_px, (rows - centre[1]) / focal_px)
     determinant = _distorted(x, y, coefficients)[2]
@@ -309,14 +315,14 @@ def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken:
             f"the distortion coefficients fold the picture over from {angle:.0f} degrees off the axis on; render a "
             f"narrower view"
         )
-    frame = np.array([left - centre[0], right - centre[0], top - centre[1], bottom - centre[1]]) / focal_px
+    frame = np.array([first_px - centre[0], right - centre[0], top - centre[1], bottom - centre[1]]) / focal_px
     new_focal_px = focal_px * (_scale_inside(frame, coefficients) if fit == "inside" else 1.0)
     x, y = _undistorted(x * (focal_px / new_focal_px), y * (focal_px / new_focal_px), coefficients)
     fine = _spline(rows, height), _spline(columns, width)
     column, row = (
         fine[0] @ (plane * focal_px + middle) @ fine[1].T for plane, middle in zip((x, y), centre, strict=True)
     )
-    outside = (np.minimum(column - left, right - column) < -0.01) | (np.minimum(row - top, bottom - row) < -0.01)
+    outside = (np.minimum(column - first_px, right - column) < -0.01) | (np.minimum(row - top, bottom - row) < -0.01)
     if outside.any():
         raise ImageError(
             f"{outside.mean():.1%} of the pixels look outside the rendered picture; set fit: inside, or render a wider "
@@ -326,17 +332,18 @@ def warp_of(rendered: Pinhole, coefficients: tuple[float, ...], fit: Fit, taken:
     return Warp(row.astype(np.float32), column.astype(np.float32), coefficients, new_focal_px, centre)
 
 
-def _viewed(taken: Pinhole, rendered: Pinhole, coefficients: tuple[float, ...]) -> Warp:
+def _viewed(sensor_view: Pinhole, rendered: Pinhole, coefficients: tuple[float, ...]) -> Warp:
     """The map of a picture of which a wider and denser one was rendered.
 
     A rendered pixel is a square of second moment 1/12 in its own pixels, J J^T / 12 in
     those of the sensor, J being the lens's stretching; a pixel of the sensor has I / 12.  Four taps at
     L (+-1, +-1) with L L^T near (I - J J^T) / 12 make up the difference; see `SPREAD`.
     """
-    focal_px, taken_px, centre, middle = rendered.focal_px, taken.focal_px, rendered.axis_px, taken.axis_px
+    focal_px, taken_px, centre, middle = rendered.focal_px, sensor_view.focal_px, rendered.axis_px, sensor_view.axis_px
     density = focal_px / taken_px
     columns, rows = (
-        np.linspace(-0.5, length - 0.5, max(33, length // STEP_PX + 2)) for length in (taken.width_px, taken.height_px)
+        np.linspace(-0.5, length - 0.5, max(33, length // STEP_PX + 2))
+        for length in (sensor_view.width_px, sensor_view.height_px)
     )
     x, y = _undistorted(*np.meshgrid((columns - middle[0]) / taken_px, (rows - middle[1]) / taken_px), coefficients)
     _, _, determinant, (xx, xy, yx, yy) = _distorted(x, y, coefficients)
@@ -354,7 +361,7 @@ def _viewed(taken: Pinhole, rendered: Pinhole, coefficients: tuple[float, ...]) 
     back = density / determinant
     right = back * (yy * first - xy * both), back * (yy * both - xy * last)
     down = back * (xx * both - yx * first), back * (xx * last - yx * both)
-    fine = _spline(rows, taken.height_px), _spline(columns, taken.width_px)
+    fine = _spline(rows, sensor_view.height_px), _spline(columns, sensor_view.width_px)
     column, row, *steps = (
         fine[0] @ plane @ fine[1].T for plane in (x * focal_px + centre[0], y * focal_px + centre[1], *right, *down)
     )
@@ -407,12 +414,12 @@ def _scale_inside(frame: Array, coefficients: tuple[float, ...]) -> float:
 
     `frame` is left, right, top, bottom of the centres of the outermost pixels from the axis, in focal lengths.
     """
-    left, right, top, bottom = (float(length) for length in frame)
-    across, down = np.linspace(left, right, BORDER_POINTS), np.linspace(top, bottom, BORDER_POINTS)
-    border_x = np.concatenate([across, across, np.full(BORDER_POINTS, left), np.full(BORDER_POINTS, right)])
+    x_min, right, top, bottom = (float(length) for length in frame)
+    across, down = np.linspace(x_min, right, BORDER_POINTS), np.linspace(top, bottom, BORDER_POINTS)
+    border_x = np.concatenate([across, across, np.full(BORDER_POINTS, x_min), np.full(BORDER_POINTS, right)])
     border_y = np.concatenate([np.full(BORDER_POINTS, top), np.full(BORDER_POINTS, bottom), down, down])
     x, y, _, _ = _distorted(border_x, border_y, coefficients)
-    return 1.0 / float(np.max([x / left, x / right, y / top, y / bottom], axis=0).min())
+    return 1.0 / float(np.max([x / x_min, x / right, y / top, y / bottom], axis=0).min())
 
 
 def _spline(places: Array, length: int) -> Array:

@@ -110,14 +110,14 @@ def exposed(graph: NodeGraph, *, exposure_s: float | None = None, iso: float | N
     sensor = graph.profiles.get("sensor")
     if not isinstance(sensor, SensorProfile) or not graph.nodes_with("sensor.expose"):
         raise ParameterError(f"--exposure, --iso: the graph {graph.name!r} has no sensor that exposes; leave them out")
-    given: dict[str, float] = {}
+    values: dict[str, float] = {}
     if exposure_s is not None:
         low, high = sensor.shortest_exposure_s, sensor.longest_exposure_s
         if not low <= exposure_s <= high:
             raise ParameterError(
                 f"--exposure {as_time(exposure_s)}: the sensor {sensor.name} takes {as_time(low)} to {as_time(high)}"
             )
-        given["sensor.exposure_s"] = exposure_s
+        values["sensor.exposure_s"] = exposure_s
     if iso is not None:
         if not graph.nodes_with("sensor.gain"):
             raise ParameterError(f"--iso {iso:g}: the graph {graph.name!r} has no sensor.gain, which an ISO speed sets")
@@ -125,11 +125,13 @@ def exposed(graph: NodeGraph, *, exposure_s: float | None = None, iso: float | N
             raise ParameterError(
                 f"--iso {iso:g}: the sensor {sensor.name} takes {sensor.iso_base:g} to {sensor.iso_max:g}"
             )
-        given["sensor.iso"] = iso
-    return graph.with_overrides(given)
+        values["sensor.iso"] = iso
+    return graph.with_overrides(values)
 
 
-def meter(radiance: Image, graph: NodeGraph, *, beside: Sequence[Image] = (), compensation_ev: float = 0.0) -> Exposure:
+def meter(
+    radiance: Image, graph: NodeGraph, *, side_frames: Sequence[Image] = (), compensation_ev: float = 0.0
+) -> Exposure:
     """Exposure for a clear frame, by running the graph's own lens and pixels on a small copy of it.
 
     The geometric mean of the signal behind the green (or clear) filters, the brightest
@@ -145,7 +147,7 @@ def meter(radiance: Image, graph: NodeGraph, *, beside: Sequence[Image] = (), co
     Args:
         radiance: the clear frame.
         graph: has 'sensor.expose' and a sensor profile.
-        beside: clear frames of other cameras that are exposed alike: the pixels of all count.
+        side_frames: clear frames of other cameras that are exposed alike: the pixels of all count.
         compensation_ev: + is brighter [EV].
 
     Raises:
@@ -171,17 +173,17 @@ def meter(radiance: Image, graph: NodeGraph, *, beside: Sequence[Image] = (), co
             keep=[node.name],
         )[node.name]
 
-    frames = [_small(one) for one in (radiance, *beside)]
-    own = {node.name: seen(node, frames[0]) for node in nodes}
-    chosen = max(nodes, key=lambda node: float(own[node.name].pixels.mean(dtype=np.float64)))
+    frames = [_small(picture) for picture in (radiance, *side_frames)]
+    changed_nodes = {node.name: seen(node, frames[0]) for node in nodes}
+    chosen = max(nodes, key=lambda node: float(changed_nodes[node.name].pixels.mean(dtype=np.float64)))
     own_e, merged_e = _saturation_e(sharp, radiance, sensor)
-    sites = [_sites(own[chosen.name]), *(_sites(seen(chosen, frame)) for frame in frames[1:])]
+    sites = [_sites(changed_nodes[chosen.name]), *(_sites(seen(chosen, frame)) for frame in frames[1:])]
     fixed_s = None if chosen.params["exposure_s"].is_auto else float(chosen.params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None
     return _chosen(
-        np.concatenate([one["G" if "G" in one else "C"] for one in sites]) / own_e,
-        np.concatenate([np.max(list(one.values()), axis=0) for one in sites]) / merged_e,
+        np.concatenate([picture["G" if "G" in picture else "C"] for picture in sites]) / own_e,
+        np.concatenate([np.max(list(picture.values()), axis=0) for picture in sites]) / merged_e,
         np.concatenate([photometry.luminance(frame)[::2, ::2].ravel() for frame in frames]).astype(np.float64),
         sensor,
         2.0**compensation_ev,
@@ -297,7 +299,7 @@ def moments_of(graph: NodeGraph) -> dict[str, tuple[float, float]]:
     Raises:
         GraphError: a part that does not begin before it ends, or ends after the exposure; an output of its name.
     """
-    found = {}
+    moments = {}
     for name in graph.inputs:
         if match := EXPOSURE.fullmatch(name):
             begin, end = (int(part) / 100.0 for part in match.groups())
@@ -310,8 +312,8 @@ def moments_of(graph: NodeGraph) -> dict[str, tuple[float, float]]:
                 raise GraphError(
                     f"graph {graph.name!r}: the output {name}.exr is where a bake writes the input {name!r}"
                 )
-            found[name] = begin, end
-    return found
+            moments[name] = begin, end
+    return moments
 
 
 def _view_input(graph: NodeGraph) -> str:
@@ -319,14 +321,14 @@ def _view_input(graph: NodeGraph) -> str:
     groups of lamps.
     """
     parts = moments_of(graph)
-    found = [
+    inputs = [
         name
         for name, port in graph.inputs.items()
         if port.quantity is Quantity.RADIANCE and not name.startswith(LIGHTGROUP) and name not in parts
     ]
-    if not found and parts:
+    if not inputs and parts:
         return max(parts, key=lambda name: parts[name][1] - parts[name][0])
-    return found[0] if len(found) == 1 else ""
+    return inputs[0] if len(inputs) == 1 else ""
 
 
 def _steady(graph: NodeGraph, frame: Image) -> dict[str, Image]:
@@ -364,8 +366,8 @@ def _saturation_e(graph: NodeGraph, radiance: Image, sensor: SensorProfile) -> t
         signal_dn = float(np.median(image.pixels)) - float(metadata["black_level_dn"])
         return signal_dn / float(metadata["system_gain_dn_e"]) * gathered / float(metadata["gathered_um2_s"])
 
-    own = max(full_e(image) for image in readings if image.provenance["gathered_um2_s"] == gathered)
-    return own, full_e(run[merges[-1].name])
+    full = max(full_e(image) for image in readings if image.provenance["gathered_um2_s"] == gathered)
+    return full, full_e(run[merges[-1].name])
 
 
 def _chosen(

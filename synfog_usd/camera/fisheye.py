@@ -51,7 +51,7 @@ def fisheye(
             f"the picture is a pinhole's of {float(image.provenance['fov_x_deg']):g} degrees, and this lens a fisheye; "
             f"render by its rays: bake a stage with this graph"
         )
-    if (known := of_picture(image.provenance)) is not None and known != lens:
+    if (recorded := of_picture(image.provenance)) is not None and recorded != lens:
         raise ImageError("the picture was rendered by the rays of another fisheye; bake it again with this graph")
     return image.with_metadata(fisheye_coefficients=list(lens.coefficients), fisheye_fov_x_deg=fov_x_deg)
 
@@ -72,10 +72,10 @@ def of_graph(graph: NodeGraph) -> Fisheye | None:
     nodes = graph.nodes_with(OP)
     if not nodes:
         return None
-    for other in (*nodes[1:], *graph.nodes_with("optics.distortion")):
-        if other.op.name == OP or other.params["coefficients"].value:
+    for extra in (*nodes[1:], *graph.nodes_with("optics.distortion")):
+        if extra.op.name == OP or extra.params["coefficients"].value:
             raise GraphError(
-                f"{other.place}: graph {graph.name!r} has a fisheye already, which no second lens can bend"
+                f"{extra.place}: graph {graph.name!r} has a fisheye already, which no second lens can bend"
             )
     params = nodes[0].params
     try:
@@ -92,13 +92,13 @@ def angles_rad(lens: Fisheye, height: int, width: int, shift: tuple[float, float
     """
     x = (np.arange(width) + 0.5) / width - 0.5 - shift[0]
     y = (np.arange(height) + 0.5 - height / 2.0 + shift[1] * height) / width
-    found = lens.angle(np.hypot(x[None, :], y[:, None]))
-    if np.isnan(found).any():
+    theta = lens.angle(np.hypot(x[None, :], y[:, None]))
+    if np.isnan(theta).any():
         raise ImageError(
-            f"{np.isnan(found).mean():.1%} of the pixels lie beyond the picture of the fisheye, which ends at "
+            f"{np.isnan(theta).mean():.1%} of the pixels lie beyond the picture of the fisheye, which ends at "
             f"{np.degrees(lens.reach_rad):.1f} degrees; take a picture of fewer rows, or a larger fov_x_deg"
         )
-    return np.asarray(found)
+    return np.asarray(theta)
 
 
 def _lens(coefficients: tuple[float, ...], fov_x_deg: float) -> Fisheye:

@@ -128,7 +128,7 @@ def flare(
         raise ImageError(f"{blades} blades; it is 0 (round) or from 3 on")
     per_nm = 1e-3 * f_number / pixel_pitch_um
     wavelengths_nm = _wavelengths_nm(blur.spectral_weights(sensor, image.channels))
-    pixels, given = image.pixels.copy(), []
+    pixels, lights = image.pixels.copy(), []
     for channel in range(pixels.shape[2]):
         plane = image.pixels[..., channel]
         limit = np.float32(threshold / spread.HIGHLIGHT) * spread.highlight_limit(plane)
@@ -138,13 +138,13 @@ def flare(
         if blades and fraction != 0.0:
             star = _star(blades, rotation_deg, tuple(wavelengths_nm[channel] * per_nm))
             part = float(star.sum()) if fraction is None else fraction
-            given.append(float(f"{part:.4g}"))
+            lights.append(float(f"{part:.4g}"))
             rows, columns = np.nonzero(lamps)
             stars = np.zeros_like(lamps)
             spread.add_spots(stars, rows, columns, lamps[rows, columns], star * np.float32(part / star.sum()))
             pixels[..., channel] += stars
             pixels[..., channel] -= np.float32(part) * lamps
-    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=given)
+    return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(flare_fractions=lights)
 
 
 def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -237,23 +237,23 @@ def block_means(pixels: FloatArray, block: int) -> FloatArray:
 
 def enlarged(coarse: FloatArray, block: int, height: int, width: int) -> Iterator[tuple[slice, FloatArray]]:
     """What blocks (h, w) hold, by straight lines between their centres: some rows of a picture, and these (R, W)."""
-    beside = np.pad(coarse, 1, mode="edge")
-    slope = np.diff(beside, axis=1)
-    wide = np.empty((len(beside), width), dtype=np.float32)
+    padded = np.pad(coarse, 1, mode="edge")
+    slope = np.diff(padded, axis=1)
+    wide = np.empty((len(padded), width), dtype=np.float32)
     for first in range(block):  # columns that lie alike between two blocks
         columns = wide[:, first::block]
         between, part = _blocks_before(first, block, columns.shape[1])
-        columns[...] = slope[:, between] * part + beside[:, between]
+        columns[...] = slope[:, between] * part + padded[:, between]
     for strip in strips(height, STRIP_ROWS * block):
-        found = np.empty((min(strip.stop, height) - strip.start, width), dtype=np.float32)
-        known = wide[strip.start // block :][: STRIP_ROWS + 2]
-        slope = np.diff(known, axis=0)
-        for first in range(min(block, len(found))):  # rows that do
-            rows = found[first::block]
+        strip_of_result = np.empty((min(strip.stop, height) - strip.start, width), dtype=np.float32)
+        coarse_rows = wide[strip.start // block :][: STRIP_ROWS + 2]
+        slope = np.diff(coarse_rows, axis=0)
+        for first in range(min(block, len(strip_of_result))):  # rows that do
+            rows = strip_of_result[first::block]
             between, part = _blocks_before(first, block, len(rows))
             np.multiply(slope[between], part, out=rows)
-            rows += known[between]
-        yield strip, found
+            rows += coarse_rows[between]
+        yield strip, strip_of_result
 
 
 def _blocks_before(first: int, block: int, count: int) -> tuple[slice, np.float32]:

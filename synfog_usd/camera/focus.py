@@ -116,10 +116,10 @@ def _layers(nearest: float, farthest: float) -> list[float]:
     widths = [0.0, FINE_PX]
     while widths[-1] < max(-nearest, farthest):
         widths.append(max(WIDENING * widths[-1], widths[-1] + FINE_PX))
-    found = [-width for width in widths[:0:-1]] + widths
-    first = max(index for index, width in enumerate(found) if width <= min(nearest, 0.0))
-    last = min(index for index, width in enumerate(found) if width >= max(farthest, 0.0))
-    return found[first : last + 1]
+    signed = [-width for width in widths[:0:-1]] + widths
+    first = max(index for index, width in enumerate(signed) if width <= min(nearest, 0.0))
+    last = min(index for index, width in enumerate(signed) if width >= max(farthest, 0.0))
+    return signed[first : last + 1]
 
 
 def _focused(pixels: FloatArray, discs_px: FloatArray) -> FloatArray:
@@ -136,7 +136,7 @@ def _focused(pixels: FloatArray, discs_px: FloatArray) -> FloatArray:
     ]
     total = np.zeros((count, height, width), np.float32)
     nearer = np.zeros((height, width), np.float32)  # share of each pixel in the layers so far
-    left = np.ones((height, width), np.float32)  # what they let through
+    passing = np.ones((height, width), np.float32)  # what they let through
     widest_px = 0.0  # of their discs
     last = int(np.ceil(place.max()))
     for index, disc_px in enumerate(widths):
@@ -144,30 +144,32 @@ def _focused(pixels: FloatArray, discs_px: FloatArray) -> FloatArray:
         if not mask.any():
             continue
         disc = _disc(frequency, abs(disc_px))
-        seen = 1.0 - _blurred(nearer, disc)
-        hidden = (seen < SEEN) & (left > 1e-4)
-        share = left / np.maximum(seen, SEEN)
+        visible = 1.0 - _blurred(nearer, disc)
+        hidden = (visible < SEEN) & (passing > 1e-4)
+        share = passing / np.maximum(visible, SEEN)
         if index < last:
             share = 1.0 + (share - 1.0) * np.clip((np.abs(share - 1.0) - 0.05) / 0.15, 0.0, 1.0)
         opaque = share * _blurred(mask, disc)
         if hidden.any():
             around = np.exp(-2.0 * np.square(math.pi * max(widest_px / 4.0, 1.0) * frequency))
-            share_around = left / np.maximum(1.0 - _blurred(nearer, around), 1e-3)
+            share_around = passing / np.maximum(1.0 - _blurred(nearer, around), 1e-3)
             np.copyto(opaque, share_around * _blurred(mask, around), where=hidden)
         for plane, (rows, columns, lights), whole in zip(planes, points, total, strict=True):
-            found = share * _blurred(plane * mask, disc)
+            blurred_part = share * _blurred(plane * mask, disc)
             if hidden.any():
-                np.copyto(found, share_around * _blurred(plane * mask, around), where=hidden)
-            whole += found
+                np.copyto(blurred_part, share_around * _blurred(plane * mask, around), where=hidden)
+            whole += blurred_part
             if (lamps := lights * mask[rows, columns]).any():
-                found = np.zeros_like(plane)
+                blurred_part = np.zeros_like(plane)
                 spot = spread.disc(abs(disc_px)) if disc_px else np.ones((1, 1), np.float32)
-                spread.add_spots(found, *spread.mirrored(plane.shape, rows, columns, lamps, len(spot) // 2), spot)
-                whole += found * np.where(seen < SEEN, left, np.clip(share, 0.0, 1.0))
-        left -= opaque
+                spread.add_spots(
+                    blurred_part, *spread.mirrored(plane.shape, rows, columns, lamps, len(spot) // 2), spot
+                )
+                whole += blurred_part * np.where(visible < SEEN, passing, np.clip(share, 0.0, 1.0))
+        passing -= opaque
         nearer += mask
         widest_px = max(widest_px, abs(disc_px))
-    total /= np.maximum(1.0 - left, 0.5)  # what no layer covered, or two did
+    total /= np.maximum(1.0 - passing, 0.5)  # what no layer covered, or two did
     return np.maximum(np.moveaxis(total, 0, 2), 0.0)
 
 

@@ -82,7 +82,7 @@ def ghosts(
         lens = Drawing(radius_mm, thickness_mm or (), index or (), clear_mm or ())
     except ValueError as problem:
         raise ImageError(str(problem)) from problem
-    found = lens.ghosts(f_number, COATED if face_reflectance is None else face_reflectance)[:most]
+    brightest = lens.ghosts(f_number, COATED if face_reflectance is None else face_reflectance)[:most]
     pixels = image.pixels.copy()
     axis = (
         (image.height_px - 1) / 2 - shift_y * image.height_px,
@@ -93,17 +93,17 @@ def ghosts(
         limit = np.float32(threshold / spread.HIGHLIGHT) * spread.highlight_limit(plane)
         lamps = np.maximum(plane - limit, 0.0)
         if lamps.any():
-            _draw(pixels[..., channel], lamps, found, axis, 1e3 / pixel_pitch_um, blades, rotation_deg)
-            pixels[..., channel] -= np.float32(sum(ghost.fraction for ghost in found)) * lamps
+            _draw(pixels[..., channel], lamps, brightest, axis, 1e3 / pixel_pitch_um, blades, rotation_deg)
+            pixels[..., channel] -= np.float32(sum(ghost.fraction for ghost in brightest)) * lamps
     return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(
-        ghost_fractions=[float(f"{ghost.fraction:.3g}") for ghost in found]
+        ghost_fractions=[float(f"{ghost.fraction:.3g}") for ghost in brightest]
     )
 
 
 def _draw(
     plane: FloatArray,
     lamps: FloatArray,
-    found: Sequence[Ghost],
+    brightest: Sequence[Ghost],
     axis: tuple[float, float],
     pixels_per_mm: float,
     blades: int,
@@ -123,7 +123,7 @@ def _draw(
     rows, columns = np.nonzero(light)
     amounts = light[rows, columns]
     total = np.zeros(light.shape)
-    for ghost in found:
+    for ghost in brightest:
         at = [
             ((index * block + (block - 1) / 2 - middle) * ghost.place + middle - (block - 1) / 2) / block
             for index, middle in zip((rows, columns), axis, strict=True)
@@ -132,8 +132,8 @@ def _draw(
         total += ghost.fraction * _discs(
             light.shape, at, amounts, abs(ghost.diameter_mm) * pixels_per_mm / block, blades, turned
         )
-    for strip, drawn in enlarged(total.astype(np.float32), block, height, width):
-        plane[strip] += drawn
+    for strip, strip_of_total in enlarged(total.astype(np.float32), block, height, width):
+        plane[strip] += strip_of_total
 
 
 def _discs(
@@ -162,5 +162,5 @@ def _discs(
     disc = np.zeros(spots.shape)
     disc[:size, :size] = aperture(blades, rotation_deg, diameter, size)
     disc = np.roll(disc / disc.sum(), (-edge, -edge), axis=(0, 1))
-    drawn = fft.irfft2(fft.rfft2(spots) * fft.rfft2(disc), s=spots.shape)
-    return np.maximum(drawn[edge : edge + shape[0], edge : edge + shape[1]], 0.0)
+    convolved = fft.irfft2(fft.rfft2(spots) * fft.rfft2(disc), s=spots.shape)
+    return np.maximum(convolved[edge : edge + shape[0], edge : edge + shape[1]], 0.0)

@@ -85,11 +85,11 @@ def merge_hdr(
 
 def _check_readings(readings: Sequence[Image], ratios: Sequence[float], tops: Sequence[float]) -> None:
     first = readings[0]
-    for other in readings[1:]:
-        if other.pixels.shape != first.pixels.shape or other.provenance.get("cfa_pattern") != first.provenance.get(
+    for reading in readings[1:]:
+        if reading.pixels.shape != first.pixels.shape or reading.provenance.get("cfa_pattern") != first.provenance.get(
             "cfa_pattern"
         ):
-            raise ImageError(f"readings of {_what(first)} and {_what(other)} cannot be merged")
+            raise ImageError(f"readings of {_what(first)} and {_what(reading)} cannot be merged")
     for index in range(1, len(readings)):
         if not tops[index] * ratios[index] > tops[index - 1] * ratios[index - 1]:
             raise ImageError(

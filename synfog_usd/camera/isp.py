@@ -162,9 +162,9 @@ def _core(mosaic: FloatArray, limit: float) -> None:
     if float(around.min()) >= 2.0:
         return
     around -= np.float32(1.0)
-    own = mosaic * np.float32(CORING_OWN / limit)
-    own -= np.float32(CORING_OWN)
-    np.maximum(around, own, out=around)
+    weight = mosaic * np.float32(CORING_OWN / limit)
+    weight -= np.float32(CORING_OWN)
+    np.maximum(around, weight, out=around)
     np.clip(around, 0.0, 1.0, out=around)
     mosaic *= around
 
@@ -199,8 +199,8 @@ def lens_shading(
     lens, kind = of_picture(metadata), metadata["falloff"]
     if fov_x_deg is None and lens is None and kind != "none":
         raise ImageError(f"the falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}")
-    taken = Pinhole(image.height_px, image.width_px, fov_x_deg or 0.0, shift)  # of a fisheye its size alone counts
-    height, width, fov_deg, source_shift = source_of(metadata, taken)
+    pinhole = Pinhole(image.height_px, image.width_px, fov_x_deg or 0.0, shift)  # of a fisheye its size alone counts
+    height, width, fov_deg, source_shift = source_of(metadata, pinhole)
     fade = falloff_map(
         height,
         width,
@@ -212,7 +212,7 @@ def lens_shading(
         lens=lens,
         power=strength,
     )
-    fade = warped_like(fade, metadata, taken)
+    fade = warped_like(fade, metadata, pinhole)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
         np.divide(image.pixels[rows, :, 0], at_least(fade[rows], 1e-30), out=pixels[rows, :, 0])
@@ -442,8 +442,8 @@ def tone_local(
     bright = np.maximum(luminance_of(image.pixels), np.float32(2.0**-20))
     stops = np.log2(bright[..., 0])
     base = _edges_kept(stops, max(1, round(radius_percent / 100.0 * image.width_px)), edge_ev)
-    wanted = compression * (base - base.mean(dtype=np.float64)) + detail * (stops - base) + math.log2(key)
-    factor = np.exp2(wanted - stops).astype(np.float32)[..., None]
+    log_gain = compression * (base - base.mean(dtype=np.float64)) + detail * (stops - base) + math.log2(key)
+    factor = np.exp2(log_gain - stops).astype(np.float32)[..., None]
     top = image.pixels.max(axis=2, keepdims=True) * factor
     return image.with_pixels(image.pixels * (factor / np.maximum(top, np.float32(1.0))))
 
@@ -491,9 +491,9 @@ def pattern_of(image: Image, sensor: SensorProfile | None) -> str:
     """
     pattern = image.provenance.get("cfa_pattern", sensor.cfa if sensor else None)
     if pattern not in cfa.PATTERNS:
-        found = "the image does not say its cfa_pattern" if pattern is None else f"cfa_pattern {pattern!r} is not known"
+        fault = "the image does not say its cfa_pattern" if pattern is None else f"cfa_pattern {pattern!r} is not known"
         raise ImageError(
-            f"{found}; it can be {', '.join(cfa.PATTERNS)}. sensor.expose notes it, and a sensor profile names it"
+            f"{fault}; it can be {', '.join(cfa.PATTERNS)}. sensor.expose notes it, and a sensor profile names it"
         )
     return str(pattern)
 
@@ -529,9 +529,9 @@ def _white(image: Image, pattern: str, illuminant: str, sensor: SensorProfile | 
     return np.asarray((sums / np.maximum(counts, 1.0)) ** (1.0 / power))
 
 
-def _level(image: Image, name: str, given: float | None, sensor: SensorProfile | None) -> float:
-    if given is not None:
-        return given
+def _level(image: Image, name: str, level: float | None, sensor: SensorProfile | None) -> float:
+    if level is not None:
+        return level
     if name in image.provenance:
         return float(image.provenance[name])
     if sensor is None:

@@ -25,13 +25,13 @@ def normal(rng: np.random.Generator, mean: FloatArray, sigma: float = 1.0) -> Fl
     Source: Box and Muller, "A note on the generation of random normal deviates" (1958).
     """
     means = np.ascontiguousarray(mean, dtype=np.float32).reshape(-1)
-    found = np.empty_like(means)
-    for begin in range(0, found.size, CHUNK):
+    result = np.empty_like(means)
+    for begin in range(0, result.size, CHUNK):
         middle = means[begin : begin + CHUNK]
-        drawn = _normal(rng, middle.size)
-        drawn *= np.float32(sigma)
-        np.add(drawn, middle, out=found[begin : begin + CHUNK])
-    return found.reshape(mean.shape)
+        draws = _normal(rng, middle.size)
+        draws *= np.float32(sigma)
+        np.add(draws, middle, out=result[begin : begin + CHUNK])
+    return result.reshape(mean.shape)
 
 
 def poisson(rng: np.random.Generator, mean: FloatArray, out: FloatArray | None = None) -> FloatArray:

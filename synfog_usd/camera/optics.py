@@ -215,10 +215,10 @@ def field_angles_rad(image: Image, fov_x_deg: float | None, shift: tuple[float, 
         return angles_rad(lens, image.height_px, image.width_px, shift)
     if fov_x_deg is None:
         raise ImageError(f"the angle of view is not known: give fov_x_deg a number, or {FOV.hint}")
-    taken = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
-    height, width, fov_deg, source_shift = source_of(image.provenance, taken)
+    pinhole = Pinhole(image.height_px, image.width_px, fov_x_deg, shift)
+    height, width, fov_deg, source_shift = source_of(image.provenance, pinhole)
     angles = np.arctan(np.sqrt(_tan2_of_field(height, width, fov_deg, *source_shift)))
-    return np.asarray(warped_like(angles, image.provenance, taken), dtype=np.float64)
+    return np.asarray(warped_like(angles, image.provenance, pinhole), dtype=np.float64)
 
 
 def _cone(f_number: float, magnification: float) -> float:

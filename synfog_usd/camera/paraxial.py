@@ -96,22 +96,22 @@ class Drawing:
         in_air = np.minimum(self._behind, self._before) == 1.0
         mirrors = np.where(in_air & (bare > 0.0), face_reflectance, bare)
         faces = np.flatnonzero(mirrors).tolist()
-        found = []
+        result = []
         for first in faces:
             for second in (face for face in faces if face > first):
-                met = [*range(second + 1), *range(second - 1, first - 1, -1), *range(first + 1, len(self._z))]
-                heights, last = self.path(met, (second, 2 * second - first))
+                path = [*range(second + 1), *range(second - 1, first - 1, -1), *range(first + 1, len(self._z))]
+                heights, last = self.path(path, (second, 2 * second - first))
                 on_sensor = last[:, 0] + last[:, 1] * self.focus_mm
                 with np.errstate(divide="ignore"):
-                    comes_in = free[met] / np.abs(heights[:, 0])
+                    comes_in = free[path] / np.abs(heights[:, 0])
                 edge = int(np.argmin(comes_in))  # the face that ends the beam
                 per_height = on_sensor[0] / heights[edge, 0]
                 between = np.prod((1.0 - mirrors[first + 1 : second]) ** 2)
-                found.append(
+                result.append(
                     Ghost(
                         float((on_sensor[1] - per_height * heights[edge, 1]) / self.focal_length_mm),
-                        float(2.0 * per_height * free[met[edge]]),
+                        float(2.0 * per_height * free[path[edge]]),
                         float(mirrors[first] * mirrors[second] * between * (comes_in[edge] / pupil) ** 2),
                     )
                 )
-        return sorted(found, key=lambda ghost: -ghost.fraction / max(ghost.diameter_mm**2, 1e-12))
+        return sorted(result, key=lambda ghost: -ghost.fraction / max(ghost.diameter_mm**2, 1e-12))

@@ -262,11 +262,11 @@ def limits_of(record: type) -> dict[str, Limits]:
 
 def guessed(profile: SensorProfile | LensProfile) -> str:
     """What to tell of a profile most of whose values are estimates, as the first word of their source says; else ''."""
-    told = [(name, source) for name, source in profile.sources if source != NOT_TOLD]
-    names = [name for name, source in told if source.lower().startswith("estimate")]
-    if 2 * len(names) <= len(told):
+    named_sources = [(name, source) for name, source in profile.sources if source != NOT_TOLD]
+    names = [name for name, source in named_sources if source.lower().startswith("estimate")]
+    if 2 * len(names) <= len(named_sources):
         return ""
-    return f"{profile.name}: {len(names)} of its {len(told)} values are estimates: {', '.join(names)}"
+    return f"{profile.name}: {len(names)} of its {len(named_sources)} values are estimates: {', '.join(names)}"
 
 
 def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
@@ -309,14 +309,14 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
     widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
     shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
     paths = dict.fromkeys(("z4_nm", "z6_nm", "z8_nm", "z10_nm", "z11_nm"), Limits(-1e5, 1e5))
-    for key, others, names in (
+    for key, ranges, names in (
         ("relative_illumination", {"value": Limits(0.0, 2.0)}, {"value": "relative_illumination"}),
         ("aberrations", widths | shifts, {"field_deg": "aberration_field_deg"}),
         ("wavefront", paths, {"field_deg": "wavefront_field_deg"}),
     ):
-        found = reader.lists(key, {"field_deg": Limits(0.0, 180.0), **others}, names)
-        values |= found
-        angles = found.get(names.get("field_deg", "field_deg"), (0.0,))
+        columns = reader.lists(key, {"field_deg": Limits(0.0, 180.0), **ranges}, names)
+        values |= columns
+        angles = columns.get(names.get("field_deg", "field_deg"), (0.0,))
         if angles[0] != 0.0 or list(angles) != sorted(set(angles)):
             reader.fault(key, f"field_deg is {list(angles)}; it rises from 0")
     if "radius_mm" in values:
@@ -406,13 +406,13 @@ class _Reader:
 
     def values(self) -> dict[str, Any]:
         """Name, title and every number; None for one that is missing or wrong."""
-        found: dict[str, Any] = {key: self.tried(key, self.text) for key in ("name", "title")}
+        result: dict[str, Any] = {key: self.tried(key, self.text) for key in ("name", "title")}
         for key, limits in self.limits.items():
             if key not in self.fields and limits.default is not None:
-                found[key], self.sources[key] = limits.default, NOT_TOLD
+                result[key], self.sources[key] = limits.default, NOT_TOLD
             else:
-                found[key] = self.tried(key, self.number)
-        return found
+                result[key] = self.tried(key, self.number)
+        return result
 
     def profile(self, record: type[T], values: Mapping[str, Any]) -> T:
         """The profile of what was read.
@@ -479,8 +479,10 @@ class _Reader:
         """Columns of a key that may be left out, under their `names` in the profile where these differ; {} where it is
         missing or wrong.
         """
-        found = self.tried(key, lambda key: self.numbers(key, columns, counts)) if key in self.fields else None
-        return {(names or {}).get(name, name): numbers for name, numbers in zip(columns, found or (), strict=False)}
+        table_columns = self.tried(key, lambda key: self.numbers(key, columns, counts)) if key in self.fields else None
+        return {
+            (names or {}).get(name, name): numbers for name, numbers in zip(columns, table_columns or (), strict=False)
+        }
 
     def numbers(self, key: str, columns: Mapping[str, Limits], counts: tuple[int, ...] = ()) -> list[tuple[float, ...]]:
         """Lists of equal length, by the names of `columns`; `counts` says how many, else two and more."""
@@ -493,16 +495,16 @@ class _Reader:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {form}")
         lengths = {len(fields[name].value) for name in columns}
         if len(lengths) > 1 or not (lengths <= set(counts) if counts else min(lengths) >= 2):
-            wanted = " or ".join(map(str, counts)) or "as many of each, two or more"
+            sizes = " or ".join(map(str, counts)) or "as many of each, two or more"
             raise ParameterError(
-                f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {wanted}"
+                f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {sizes}"
             )
-        found = [
+        result = [
             tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value)
             for name, limits in columns.items()
         ]
         self.sources[key] = self.source(key, fields, item)
-        return found
+        return result
 
     def pattern(self, key: str) -> str:
         item = self.fields[key]
@@ -530,11 +532,11 @@ class _Reader:
         if kind == "product":
             common, filters = self.product(fields["product"], letters)
             return QuantumEfficiency(common=common, filters=filters)
-        chosen, known = fields[kind], CAMERAS_MEASURED if kind == "camera" else OBSERVERS
-        if chosen.value not in known:
-            hint = did_you_mean(str(chosen.value), known)
+        chosen, measured = fields[kind], CAMERAS_MEASURED if kind == "camera" else OBSERVERS
+        if chosen.value not in measured:
+            hint = did_you_mean(str(chosen.value), measured)
             raise ParameterError(
-                f"{chosen.place}: {kind} {chosen.plain()!r} is not known; it can be {', '.join(known)}.{hint}"
+                f"{chosen.place}: {kind} {chosen.plain()!r} is not known; it can be {', '.join(measured)}.{hint}"
             )
         if letters != ("R", "G", "B"):
             raise ParameterError(
@@ -562,8 +564,8 @@ class _Reader:
 
     def curves(self, items: Mapping[str, Located]) -> tuple[Curve, ...]:
         """Those that are right; what is wrong with each other one is kept."""
-        found = [self.kept(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()]  # type: ignore[misc]
-        return tuple(curve for curve in found if curve is not None)
+        result = [self.kept(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()]  # type: ignore[misc]
+        return tuple(curve for curve in result if curve is not None)
 
     def curve(self, where: str, item: Located) -> Curve:
         fields = item.value if isinstance(item.value, dict) else {}
@@ -575,16 +577,16 @@ class _Reader:
             )
         if kind == "csv":
             return Curve("csv", tuple(number for row in self.table(fields["csv"], ("value",)) for number in row))
-        given = fields[kind].value if isinstance(fields[kind].value, list) else [fields[kind]]
-        if len(given) != len(SHAPES[kind]):
+        entries = fields[kind].value if isinstance(fields[kind].value, list) else [fields[kind]]
+        if len(entries) != len(SHAPES[kind]):
             raise ParameterError(
-                f"{fields[kind].place}: {where} has {len(given)} numbers for {kind}; it takes {SHAPE_WORDS}"
+                f"{fields[kind].place}: {where} has {len(entries)} numbers for {kind}; it takes {SHAPE_WORDS}"
             )
         return Curve(
             kind,
             tuple(
                 _in_limits(f"{kind} of {where}", number, limits)
-                for number, limits in zip(given, SHAPES[kind], strict=True)
+                for number, limits in zip(entries, SHAPES[kind], strict=True)
             ),
         )
 
@@ -603,7 +605,7 @@ class _Reader:
             data = path.read_bytes()[:MAX_CURVE_BYTES].decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"{item.place}: {path} cannot be read ({error})") from error
-        wanted = f"wavelength_nm, {', '.join(names)}"
+        head = f"wavelength_nm, {', '.join(names)}"
         order = tuple(range(1, len(names) + 1))
         rows: list[tuple[float, ...]] = []
         for number, line in enumerate(data.splitlines(), start=1):
@@ -613,7 +615,7 @@ class _Reader:
             if cells[0].startswith("wavelength"):
                 if len(names) > 1 and sorted(cells[1:]) != sorted(names):
                     raise ParameterError(
-                        f"{path}:{number}: the columns are {', '.join(cells)}; they have to be {wanted}, in any order"
+                        f"{path}:{number}: the columns are {', '.join(cells)}; they have to be {head}, in any order"
                     )
                 order = tuple(cells.index(name) for name in names) if len(names) > 1 else order
                 continue
@@ -623,7 +625,7 @@ class _Reader:
             except (ValueError, IndexError):
                 numbers = []
             if len(numbers) != len(names) + 1:
-                raise ParameterError(f"{path}:{number}: {line.strip()!r} is not {wanted}") from None
+                raise ParameterError(f"{path}:{number}: {line.strip()!r} is not {head}") from None
             if not 200.0 <= wavelength <= 2000.0 or (rows and wavelength <= rows[-1][0]):
                 raise ParameterError(
                     f"{path}:{number}: wavelength {wavelength:g} nm is outside 200 to 2000 or does not rise"

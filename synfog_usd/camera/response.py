@@ -173,16 +173,18 @@ def colour_matrix(sensor: SensorProfile, illuminant: str) -> ColourMatrix:
     def misses(free: Array) -> Array:
         return np.ravel(colour.XYZ_to_Lab(camera @ rows(free).T @ to_xyz.T, white_xy) - target)
 
-    wanted = xyz @ to_rgb.T
+    wished_xyz = xyz @ to_rgb.T
     differences = camera[:, :-1] - camera[:, -1:]
-    start = np.array([np.linalg.lstsq(differences, wanted[:, row] - camera[:, -1], rcond=None)[0] for row in range(3)])
+    start = np.array(
+        [np.linalg.lstsq(differences, wished_xyz[:, row] - camera[:, -1], rcond=None)[0] for row in range(3)]
+    )
     matrix = rows(least_squares(misses, start.ravel(), method="lm").x)
 
     chart = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
     wavelengths = np.asarray(next(iter(chart.values())).wavelengths, np.float64)
     camera, xyz = _patches(sensor, illuminant, wavelengths, np.array([patch.values for patch in chart.values()]))
-    found = colour.XYZ_to_Lab(camera @ matrix.T @ to_xyz.T, white_xy)
-    difference = colour.delta_E(colour.XYZ_to_Lab(xyz, white_xy), found, method="CIE 2000")
+    lab = colour.XYZ_to_Lab(camera @ matrix.T @ to_xyz.T, white_xy)
+    difference = colour.delta_E(colour.XYZ_to_Lab(xyz, white_xy), lab, method="CIE 2000")
     values = tuple(tuple(float(value) for value in row) for row in matrix)
     return ColourMatrix(values, float(difference.mean()), float(difference.max()))
 

@@ -94,11 +94,11 @@ def expose(
     time_s = exposure_s * exposure_ratio
     weights = (rate * time_s).astype(np.float32)
     mosaic = np.empty((image.height_px, image.width_px, 1), dtype=np.float32)
-    first, *others = (cfa.factors(sensor.cfa, column, STRIP_ROWS, image.width_px) for column in weights.T)
+    first, *other_factors = (cfa.factors(sensor.cfa, column, STRIP_ROWS, image.width_px) for column in weights.T)
     for strip in strips(image.height_px):  # of whole patterns
         rows = image.pixels[strip]
         total = rows[..., 0] * first[: len(rows)]
-        for channel, here in enumerate(others, start=1):
+        for channel, here in enumerate(other_factors, start=1):
             total += rows[..., channel] * here[: len(rows)]
         at_least(total, 0.0, out=mosaic[strip, :, 0])
     reset = {"global_reset_s": readout_s} if shutter == "global_reset" else {}
@@ -134,9 +134,9 @@ def prnu(
 
     Source: EMVA 1288 release 4.0, section 4.
     """
-    own, pixels = pattern_of(image, serial, "prnu"), np.empty_like(image.pixels)
+    pattern_values, pixels = pattern_of(image, serial, "prnu"), np.empty_like(image.pixels)
     for rows in strips(image.height_px):
-        gain = own[rows] * np.float32(prnu_percent / 100.0)
+        gain = pattern_values[rows] * np.float32(prnu_percent / 100.0)
         gain += np.float32(1.0)
         gain *= image.pixels[rows]
         at_least(gain, 0.0, out=pixels[rows])
@@ -220,9 +220,9 @@ def full_well(
         for rows in (range(image.height_px), range(image.height_px - 1, -1, -1)):
             carried = np.zeros_like(spilt[0])
             for row in rows:
-                taken = np.minimum(carried, full_well_e - filled[row])
-                filled[row] += taken
-                carried += spilt[row] - taken
+                moved = np.minimum(carried, full_well_e - filled[row])
+                filled[row] += moved
+                carried += spilt[row] - moved
         held = filled.astype(np.float32)
     return image.with_pixels(held).with_metadata(full_well_e=full_well_e)
 
@@ -258,8 +258,8 @@ def binning(image: Image, *, factor: Annotated[int, Range(2, 8)] = 2) -> Image:
     summed = blocks.sum(axis=(1, 4), dtype=np.float64).reshape(high * down, wide * across, 1).astype(np.float32)
     grows = {"pixel_pitch_um": factor, "gathered_um2_s": factor**2, "dark_e": factor**2, "full_well_e": factor**2}
     grows["read_noise_e"] = factor
-    told = {key: image.provenance[key] * times for key, times in grows.items() if key in image.provenance}
-    return image.with_pixels(summed).with_metadata(**told)
+    scaled = {key: image.provenance[key] * times for key, times in grows.items() if key in image.provenance}
+    return image.with_pixels(summed).with_metadata(**scaled)
 
 
 @OPS.op("sensor.dsnu", takes=ELECTRONS, gives=READ_ELECTRONS)
@@ -538,12 +538,12 @@ def pattern(serial: str, kind: str, height: int, width: int) -> FloatArray:
 
     Drawn in tiles, each with a stream of its own, so that a smaller picture is a part of a larger one.
     """
-    drawn = np.empty((height, width, 1), dtype=np.float32)
+    result = np.empty((height, width, 1), dtype=np.float32)
     for down in range(0, height, TILE_PX):
         for right in range(0, width, TILE_PX):
             stream = seeds.stream(0, "sensor", serial, kind, down, right)
-            part = drawn[down : down + TILE_PX, right : right + TILE_PX]
+            part = result[down : down + TILE_PX, right : right + TILE_PX]
             size = (TILE_PX if height > 1 else 1, TILE_PX if width > 1 else 1, 1)
             part[...] = stream.standard_normal(size, dtype=np.float32)[: part.shape[0], : part.shape[1]]
-    drawn.flags.writeable = False
-    return drawn
+    result.flags.writeable = False
+    return result

@@ -117,13 +117,13 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
 
     def multiply(rows: slice) -> None:
         factors, tail = transfers(rows)
-        for plane, factor, (_, far) in zip(planes, factors, found, strict=True):
+        for plane, factor, (_, far) in zip(planes, factors, spectra, strict=True):
             plane[rows] *= factor
             if (low := far[rows]).size:
                 plane[rows][: len(low), : low.shape[1]] += tail * low
 
     def back(channel: int) -> None:
-        plane, spot, (points, _) = planes[channel], blurs[channel].spot, found[channel]
+        plane, spot, (points, _) = planes[channel], blurs[channel].spot, spectra[channel]
         _in_place(fft.idctn, plane)
         if points[0].size:
             add_spots(plane, *mirrored(plane.shape, *points, spot.shape[0] // 2), spot)
@@ -132,7 +132,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
                 at_least(plane[rows], 0.0, out=plane[rows])
 
     with ThreadPoolExecutor(THREADS) as pool:
-        found = list(pool.map(forth, range(count)))
+        spectra = list(pool.map(forth, range(count)))
         list(pool.map(multiply, strips(height)))
         list(pool.map(back, range(count)))
     return result
@@ -140,9 +140,9 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
 
 def _in_place(transform: Callable[..., FloatArray], plane: FloatArray) -> None:
     """Transform a plane in its own memory."""
-    found = transform(plane, overwrite_x=True)
-    if not np.may_share_memory(found, plane):  # that it may be overwritten does not promise that it is
-        plane[...] = found
+    spectrum = transform(plane, overwrite_x=True)
+    if not np.may_share_memory(spectrum, plane):  # that it may be overwritten does not promise that it is
+        plane[...] = spectrum
 
 
 @functools.lru_cache(maxsize=1)
@@ -161,12 +161,12 @@ def _transfers(blurs: tuple[Blur, ...], height: int, width: int) -> Callable[[sl
 
     if len(set(blurs)) * height * width > KEPT:
         return made
-    known: dict[int, tuple[Sequence[Array], Array]] = {}
+    ready: dict[int, tuple[Sequence[Array], Array]] = {}
 
     def kept(rows: slice) -> tuple[Sequence[Array], Array]:
-        if rows.start not in known:
-            known[rows.start] = made(rows)
-        return known[rows.start]
+        if rows.start not in ready:
+            ready[rows.start] = made(rows)
+        return ready[rows.start]
 
     return kept
 
@@ -178,8 +178,8 @@ def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
     if all(blur is blurs[0] for blur in blurs):
         return lambda frequency: itertools.repeat(blurs[0].transfer(frequency), len(blurs))
     step = np.float32(math.sqrt(0.5) / FINE)
-    known = np.arange(FINE + 1, dtype=np.float32) * step
-    tables = [blur.transfer(known).astype(np.float32) for blur in blurs]
+    grid = np.arange(FINE + 1, dtype=np.float32) * step
+    tables = [blur.transfer(grid).astype(np.float32) for blur in blurs]
 
     def factors(frequency: FloatArray) -> Iterator[Array]:
         nearest = (frequency * (1 / step) + np.float32(0.5)).astype(np.intp)
@@ -192,14 +192,14 @@ def taken_out(plane: FloatArray, limit: np.float32, out: FloatArray) -> Points:
     """Rows, columns and light over the limit of the points of light of a channel (H, W); `out` gets the channel, cut
     there.
     """
-    found = [(np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0, np.float32))]
+    pieces = [(np.empty(0, np.intp), np.empty(0, np.intp), np.empty(0, np.float32))]
     for strip in strips(len(plane)):
         here = plane[strip]
         if here.max() > limit:
             row, column = np.nonzero(here > limit)
-            found.append((row + strip.start, column, here[row, column] - limit))
+            pieces.append((row + strip.start, column, here[row, column] - limit))
         at_most(here, limit, out=out[strip])
-    rows, columns, lights = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    rows, columns, lights = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     return rows, columns, lights
 
 
@@ -233,9 +233,9 @@ def mirrored(
         along = (rows, columns)[axis]
         fold = 2 * length * np.arange(-(reach // (2 * length)) - 1, reach // (2 * length) + 2)
         places = np.concatenate([fold[:, None] + along, fold[:, None] - 1 - along])
-        seen, point = np.nonzero((places > -1 - reach) & (places < length + reach))
-        found = places[seen, point]
-        rows, columns = (found, columns[point]) if axis == 0 else (rows[point], found)
+        image_number, point = np.nonzero((places > -1 - reach) & (places < length + reach))
+        inside = places[image_number, point]
+        rows, columns = (inside, columns[point]) if axis == 0 else (rows[point], inside)
         lights = lights[point]
     return rows, columns, lights
 
@@ -259,10 +259,10 @@ def add_spots(picture: FloatArray, rows: Places, columns: Places, lights: FloatA
         picture += fft.irfft2(spectrum, s=sizes, overwrite_x=True)[2 * reach :, 2 * reach :][:height, :width]
         return
     for row, column, light in zip(rows.tolist(), columns.tolist(), lights, strict=True):
-        top, left = max(row - reach, 0), max(column - reach, 0)
+        top, column_px = max(row - reach, 0), max(column - reach, 0)
         bottom, right = min(row + reach + 1, height), min(column + reach + 1, width)
-        part = spot[top - row + reach : bottom - row + reach, left - column + reach : right - column + reach]
-        picture[top:bottom, left:right] += light * part
+        part = spot[top - row + reach : bottom - row + reach, column_px - column + reach : right - column + reach]
+        picture[top:bottom, column_px:right] += light * part
 
 
 @functools.lru_cache(maxsize=64)
@@ -307,11 +307,11 @@ def disc_weights(q: float, radius: Array) -> Array:
         q: lambda N / pitch.
         radius: (2 R + 1, 2 R + 1) distances from the middle pixel.
     """
-    given = aperture(q, max(1, math.ceil(q)))
-    weights = given.tail * tail_weights(radius, given.tail_scale)
-    reach, inner = radius.shape[0] // 2, given.spot.shape[0] // 2
+    measured = aperture(q, max(1, math.ceil(q)))
+    weights = measured.tail * tail_weights(radius, measured.tail_scale)
+    reach, inner = radius.shape[0] // 2, measured.spot.shape[0] // 2
     near = min(reach, inner)
-    weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += given.spot[
+    weights[reach - near : reach + near + 1, reach - near : reach + near + 1] += measured.spot[
         inner - near : inner + near + 1, inner - near : inner + near + 1
     ]
     return np.asarray(weights)

@@ -82,23 +82,23 @@ def lens_template() -> str:
 def meanings(record: type) -> dict[str, str]:
     """What a record's docstring says of each attribute, on one line."""
     section = inspect.cleandoc(record.__doc__ or "").partition("Attributes:\n")[2]
-    found = {}
+    by_key = {}
     for names, text in re.findall(
         r"^    (\w[\w, \n]*?):\s(.*?)(?=^    \w|\Z)", section, flags=re.MULTILINE | re.DOTALL
     ):
         for name in re.split(r",\s*", names):
-            found[name] = " ".join(text.split()).rstrip(".")
-    return found
+            by_key[name] = " ".join(text.split()).rstrip(".")
+    return by_key
 
 
 def _numbers(record: type, values: SensorProfile | LensProfile) -> str:
-    told, found = meanings(record), ""
+    by_key, text = meanings(record), ""
     for key, limits in limits_of(record).items():
         whole = "a whole number, " if limits.whole else ""
         left_out = "" if limits.default is None else f"; {limits.default:g} if left out"
-        comment = _comment(f"{told[key]} ({whole}{limits.low:g} to {limits.high:g}{left_out})")
-        found += f"{comment}\n{key}: {{value: {getattr(values, key):.10g}, source: example}}\n\n"
-    return found
+        comment = _comment(f"{by_key[key]} ({whole}{limits.low:g} to {limits.high:g}{left_out})")
+        text += f"{comment}\n{key}: {{value: {getattr(values, key):.10g}, source: example}}\n\n"
+    return text
 
 
 def _comment(text: str) -> str:

@@ -118,8 +118,8 @@ def wavefront(
         def transfers(size: int) -> Callable[[float, float, bool], Array]:
             def at(row: float, column: float, lamps: bool) -> Array:
                 angle, c, s = field.at(row, column)
-                own = np.array([np.interp(angle, field_deg, values) for values in table])
-                return _padded(pupils[channel].weights(own, math.atan2(s, c), pixels=lamps), size)
+                coefficients = np.array([np.interp(angle, field_deg, values) for values in table])
+                return _padded(pupils[channel].weights(coefficients, math.atan2(s, c), pixels=lamps), size)
 
             return at
 
@@ -191,8 +191,8 @@ class Pupil:
         path = np.tensordot(coefficients_nm, _zernike(c * u + s * v, c * v - s * u), axes=1)
         pupil = np.zeros((n, n), dtype=np.complex64)
         pupil[np.ix_(places, places)] = (u * u + v * v <= 1.0) * np.exp(2j * np.pi / self.wavelength_nm * path)
-        found = fft.fft2(np.square(np.abs(fft.fft2(pupil))))
-        return np.asarray(found / found[0, 0].real)
+        spectrum = fft.fft2(np.square(np.abs(fft.fft2(pupil))))
+        return np.asarray(spectrum / spectrum[0, 0].real)
 
     def weights(self, coefficients_nm: Array, away_rad: float, *, pixels: bool) -> Array:
         """(window, window) weights of a point's light, its own pixel at [0, 0]; sum 1.
@@ -209,8 +209,8 @@ class Pupil:
             box = np.sinc(np.fft.fftfreq(len(whole), 1.0 / self.finer))
             spot = fft.ifft2(whole * box[:, None] * box[None, :]).real[:: self.finer, :: self.finer]
             return np.asarray(np.maximum(spot, 0.0) / np.maximum(spot, 0.0).sum())
-        kept = np.r_[0 : self.window // 2, -self.window // 2 : 0]
-        return np.asarray(fft.ifft2(whole[np.ix_(kept, kept)]).real)
+        middle = np.r_[0 : self.window // 2, -self.window // 2 : 0]
+        return np.asarray(fft.ifft2(whole[np.ix_(middle, middle)]).real)
 
 
 def _padded(weights: Array, size: int) -> Array:

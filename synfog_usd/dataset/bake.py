@@ -372,7 +372,7 @@ def meter_view(
     loaded = session.renderer.loaded_for(scene, models.AUTO)
     ready()
     needed = camera.exposure_left_open(graph) or (plan.exposure_s, plan.iso) != (None, None)
-    exposure = camera.meter(frame, graph, beside=side_frames, compensation_ev=plan.ev) if needed else None
+    exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.ev) if needed else None
     if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
@@ -380,7 +380,7 @@ def meter_view(
     fixed = {"exposure_s": plan.exposure_s, "iso": plan.iso}
     graphs = {path.stem: camera.exposed(camera.load_graph(path), **fixed) for path in plan.meter_for}
     further = {
-        name: camera.meter(frame, other_graph, beside=side_frames, compensation_ev=plan.ev)
+        name: camera.meter(frame, other_graph, side_frames=side_frames, compensation_ev=plan.ev)
         for name, other_graph in graphs.items()
         if camera.exposure_left_open(other_graph)
     }

@@ -112,9 +112,9 @@ def test_frames_that_are_metered_together_count_pixel_by_pixel():
         return Image(np.full((18, 32, 3), level, np.float32), ("R", "G", "B"), Quantity.RADIANCE)
 
     dim, bright, middle = even(300.0), even(1200.0), even(600.0)
-    once, twice = meter(dim, graph), meter(dim, graph, beside=[dim])
+    once, twice = meter(dim, graph), meter(dim, graph, side_frames=[dim])
     assert once.exposure_s * once.iso == pytest.approx(twice.exposure_s * twice.iso, rel=1e-6)
-    both, wanted = meter(dim, graph, beside=[bright]), meter(middle, graph)
+    both, wanted = meter(dim, graph, side_frames=[bright]), meter(middle, graph)
     assert both.mean_cd_m2 == pytest.approx(600.0, rel=1e-3)
     assert both.exposure_s * both.iso == pytest.approx(wanted.exposure_s * wanted.iso, rel=2e-3)
 

@@ -243,12 +243,12 @@ def _folder_hash(folder: Path) -> bytes:
 
 @functools.cache
 def _library_versions() -> str:
-    found = []
+    versions = []
     for name in _LIBRARIES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             text = importlib.metadata.distribution(name).read_text("METADATA") or ""  # `version` parses it as a mail
-            found.append(f"{name} {next((line for line in text.splitlines() if line.startswith('Version:')), '')}")
-    return ", ".join(found)
+            versions.append(f"{name} {next((line for line in text.splitlines() if line.startswith('Version:')), '')}")
+    return ", ".join(versions)
 
 
 def _planes(image: Image) -> list[FloatArray]:

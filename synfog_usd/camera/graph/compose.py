@@ -71,23 +71,23 @@ class _Composer:
         self.allowed = (folder.resolve(), self.shipped.resolve())
 
     def graph(self, file: _File) -> dict[str, Located]:
-        own = self.sections(file)
-        extends = own.pop("extends", None)
-        if isinstance(nodes := own.get("nodes"), Located) and isinstance(nodes.value, list):
-            own["nodes"] = replace(nodes, value=self.included(nodes.value, file))
+        sections = self.sections(file)
+        extends = sections.pop("extends", None)
+        if isinstance(nodes := sections.get("nodes"), Located) and isinstance(nodes.value, list):
+            sections["nodes"] = replace(nodes, value=self.included(nodes.value, file))
         if extends is None:
-            self.refuse_edits(own)
-            return own
-        other = self.read(extends, file)
-        if other is None:  # told already; what is missing without it is no fault of its own
+            self.refuse_edits(sections)
+            return sections
+        base_sections = self.read(extends, file)
+        if base_sections is None:  # told already; what is missing without it is no fault of its own
             raise _UnreadableError
-        base = self.graph(other)
+        base = self.graph(base_sections)
         if "nodes" not in base:
-            self.refuse_edits(own)
-        merged = {**base, **own}
+            self.refuse_edits(sections)
+        merged = {**base, **sections}
         for key, join in (("nodes", self.edited), ("outputs", self.joined_outputs)):
-            if key in base and key in own:
-                merged[key] = join(base[key], own[key])
+            if key in base and key in sections:
+                merged[key] = join(base[key], sections[key])
         return merged
 
     def sections(self, file: _File) -> dict[str, Located]:
@@ -165,10 +165,10 @@ class _Composer:
                         item.key_place or item.place,
                         f"{key!r} cannot stand beside 'include'; give it an entry of its own",
                     )
-            other = self.read(entry.value["include"], file)
-            if other is None:
+            sections_of_file = self.read(entry.value["include"], file)
+            if sections_of_file is None:
                 raise _UnreadableError
-            fields = self.sections(other)
+            fields = self.sections(sections_of_file)
             for key, item in fields.items():
                 if key not in ("synfog", "title", "nodes"):
                     self.faults.add(
@@ -178,9 +178,9 @@ class _Composer:
                     )
             inner = fields.get("nodes")
             if inner is None or not isinstance(inner.value, list):
-                self.faults.add((inner or other.root).place, "an included file has 'nodes', a list")
+                self.faults.add((inner or sections_of_file.root).place, "an included file has 'nodes', a list")
                 raise _UnreadableError
-            nodes += self.included(inner.value, other)
+            nodes += self.included(inner.value, sections_of_file)
         return nodes
 
     def refuse_edits(self, sections: dict[str, Located]) -> None:
@@ -196,13 +196,13 @@ class _Composer:
                     )
                     del entry.value[word]
 
-    def edited(self, base: Located, own: Located) -> Located:
+    def edited(self, base: Located, change: Located) -> Located:
         """The base's nodes, changed, taken away and added to as the own entries say."""
-        if not isinstance(base.value, list) or not isinstance(own.value, list):
-            return own
+        if not isinstance(base.value, list) or not isinstance(change.value, list):
+            return change
         nodes: list[Located] = list(base.value)
         touched: dict[str, Place] = {}
-        for entry in own.value:
+        for entry in change.value:
             if not isinstance(entry.value, dict):
                 nodes.append(entry)
                 continue
@@ -267,15 +267,15 @@ class _Composer:
                 f"nodes",
             )
         elif "op" in fields:
-            kept = {"in": nodes[index].value["in"]} if "in" in nodes[index].value else {}
-            nodes[index] = replace(entry, value={**kept, **fields})
+            inputs_of_node = {"in": nodes[index].value["in"]} if "in" in nodes[index].value else {}
+            nodes[index] = replace(entry, value={**inputs_of_node, **fields})
         else:
             nodes[index] = replace(nodes[index], value={**nodes[index].value, **fields})
 
     def add(
         self,
         node: Located,
-        given: dict[str, Located],
+        taken_names: dict[str, Located],
         name: str,
         words: list[str],
         nodes: list[Located],
@@ -284,7 +284,7 @@ class _Composer:
         if not words:
             nodes.append(node)
             return
-        item: Any = given[words[0]]
+        item: Any = taken_names[words[0]]
         if len(words) > 1 or item.value not in names:
             wrong = (
                 "'before' and 'after' exclude each other"
@@ -298,14 +298,14 @@ class _Composer:
             return
         nodes.insert(names.index(item.value) + (words[0] == "after"), node)
 
-    def joined_outputs(self, base: Located, own: Located) -> Located:
+    def joined_outputs(self, base: Located, change: Located) -> Located:
         """Files of both; an own file that is empty ('srgb.png:') takes the base's away, and one without 'node' changes
         how the base's is written.
         """
-        if not isinstance(base.value, dict) or not isinstance(own.value, dict):
-            return own
+        if not isinstance(base.value, dict) or not isinstance(change.value, dict):
+            return change
         merged = dict(base.value)
-        for name, item in own.value.items():
+        for name, item in change.value.items():
             if item.value is None and name in merged:
                 del merged[name]
             elif isinstance(item.value, dict) and NODE not in item.value and name in merged:
@@ -314,7 +314,7 @@ class _Composer:
                 merged[name] = replace(item, value={**fields, **item.value})
             else:
                 merged[name] = item
-        return replace(own, value=merged)
+        return replace(change, value=merged)
 
 
 class _UnreadableError(Exception):

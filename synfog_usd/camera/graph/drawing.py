@@ -81,14 +81,16 @@ def table(
     for head, node in zip(heads, [None, *graph.nodes.values()], strict=True):
         name, op, time = (cell.ljust(size) for cell, size in zip(head, (*columns, 0)[:3], strict=True))
         line = f"{name}  {op}" + (f"  {time.strip():>{columns[2]}}" if run is not None else "")
-        told = _parameters(node, settings or {}, whole=whole) if node is not None else ""
+        parameters = _parameters(node, settings or {}, whole=whole) if node is not None else ""
         if whole or node is None:
             lines.append(line.rstrip()[:width])
         else:
-            lines += _wrapped(told, width, first=f"{line}  ", indent=min(len(line) + 2, width // 2)) or [line.rstrip()]
+            lines += _wrapped(parameters, width, first=f"{line}  ", indent=min(len(line) + 2, width // 2)) or [
+                line.rstrip()
+            ]
         if whole and node is not None:
             lines += _wrapped(f"{', '.join(node.inputs) or 'nothing'} -> {node.gives}", width)
-            lines += _wrapped(told, width)
+            lines += _wrapped(parameters, width)
     lines.insert(1, "  ".join("-" * size for size in columns)[:width])
     for kind, profile in graph.profiles.items():
         lines += _wrapped(f"{kind}: {profile.name}", width, first="")
@@ -232,13 +234,13 @@ class _Layout:
         self.slots: dict[str | tuple[str, str, int], _Slot] = {}
         self.width, top = 2 * MARGIN + BOX_W, MARGIN + 30
         for row_of in rows:
-            left, height = float(MARGIN), self.row_height(row_of)
+            x, height = float(MARGIN), self.row_height(row_of)
             for item in row_of:
                 wide = BOX_W if isinstance(item, str) else LANE_W
-                self.slots[item] = _Slot(left + wide / 2, top, height)
-                left += wide + (self.file_width(item) if isinstance(item, str) else 0)
-                self.width = max(self.width, round(left + MARGIN))
-                left += GAP_X if isinstance(item, str) else LANE_W
+                self.slots[item] = _Slot(x + wide / 2, top, height)
+                x += wide + (self.file_width(item) if isinstance(item, str) else 0)
+                self.width = max(self.width, round(x + MARGIN))
+                x += GAP_X if isinstance(item, str) else LANE_W
             top += round(height + GAP_Y)
         self.width += 110  # room for the label of the last column's edges
         self.height = top - GAP_Y + MARGIN
@@ -263,7 +265,7 @@ class _Layout:
         """Path of every edge, with a label and where that stands [px]; a node that reads several images has one label
         for all.
         """
-        found = []
+        paths = []
         for node in self.graph.nodes.values():
             sources = list(dict.fromkeys(node.inputs))
             step = min(40.0, (BOX_W - 40) / max(len(sources) - 1, 1))
@@ -281,8 +283,8 @@ class _Layout:
                     if place == len(sources) - 1
                     else ""
                 )
-                found.append((path + _curve(x, y, landing, end.y), label, landing + 6, end.y - 6))
-        return found
+                paths.append((path + _curve(x, y, landing, end.y), label, landing + 6, end.y - 6))
+        return paths
 
 
 def _curve(x: float, y: float, to_x: float, to_y: float) -> str:
@@ -340,9 +342,9 @@ def _flows(port: Port) -> str:
     return port.quantity.value if port.quantity else "anything"
 
 
-def _sourced(bound: Bound, told: Any) -> str:
+def _sourced(bound: Bound, looked_up: Any) -> str:
     if bound.is_auto:
-        return f"{told:.4g} (run)" if isinstance(told, float | int) else _shown(bound)
+        return f"{looked_up:.4g} (run)" if isinstance(looked_up, float | int) else _shown(bound)
     word = {"file": "", "default": "default", "override": "set"}.get(bound.source, bound.source.partition(".")[0])
     return f"{_shown(bound)} ({word})" if word else _shown(bound)
 

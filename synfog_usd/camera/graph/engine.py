@@ -191,20 +191,20 @@ class NodeGraph:
             for parameter in node.op.parameters.values()
             if parameter.can_be_set
         ]
-        found = [
+        matches = [
             (node.name, parameter)
             for node, parameter in settable
             if (parameter.name == name and where in (node.op.name, node.op.family))
             or (parameter.profile is not None and parameter.profile.path == key)
         ]
-        if not found:
+        if not matches:
             names = [
                 f"{place}.{parameter.name}" for node, parameter in settable for place in (node.name, node.op.family)
             ]
             raise GraphError(
                 f"override {key!r}: no node {where or key!r}; write node.parameter.{did_you_mean(key, names)}"
             )
-        return found
+        return matches
 
     def without(self, names: Iterable[str]) -> NodeGraph:
         """The graph without some nodes: a node that read one of them reads its input instead.
@@ -218,20 +218,20 @@ class NodeGraph:
             graph._check_node(name)
             node = graph.nodes[name]
             source = node.inputs[0]
-            before, *others = (
+            before, *rest = (
                 graph.inputs[item] if item in graph.inputs else graph.nodes[item].gives for item in node.inputs
             )
-            kept = (before.quantity, before.layout) == (node.gives.quantity, node.gives.layout)
-            lit = any(other.quantity is not Quantity.DATA for other in others)
-            if lit or not kept or name in graph.outputs.values():
+            same_port = (before.quantity, before.layout) == (node.gives.quantity, node.gives.layout)
+            lit = any(port.quantity is not Quantity.DATA for port in rest)
+            if lit or not same_port or name in graph.outputs.values():
                 raise GraphError(
                     f"{node.place}: {node} cannot be left out: it makes {node.gives} of {before}, reads several "
                     f"pictures, or is an output"
                 )
             nodes = {
-                other.name: replace(other, inputs=tuple(source if item == name else item for item in other.inputs))
-                for other in graph.nodes.values()
-                if other.name != name
+                port.name: replace(port, inputs=tuple(source if item == name else item for item in port.inputs))
+                for port in graph.nodes.values()
+                if port.name != name
             }
             graph = replace(graph, nodes=nodes)
         return graph
@@ -312,11 +312,11 @@ class NodeGraph:
         return self.output_options.get(file_name, {})
 
     def _keys(
-        self, inputs: Mapping[str, Image], wanted: Sequence[str], seed: int, settings: Mapping[str, Any]
+        self, inputs: Mapping[str, Image], needed: Sequence[str], seed: int, settings: Mapping[str, Any]
     ) -> dict[str, str | None]:
         """Key of what each node gives, known before anything runs."""
         keys = {name: image_key(image, NOTES) for name, image in inputs.items()}
-        for name in wanted:
+        for name in needed:
             node = self.nodes[name]
             params = {key: self._fact(node, key, bound, settings) for key, bound in node.params.items()}
             keys[name] = node_key(
@@ -334,25 +334,25 @@ class NodeGraph:
         return [AUTO, settings[key]] if key in settings else _plain(bound)
 
     def _missing(
-        self, keys: Mapping[str, str | None], wanted: Sequence[str], kept: Sequence[str], cache: Cache
+        self, keys: Mapping[str, str | None], needed: Sequence[str], returned: Sequence[str], cache: Cache
     ) -> tuple[list[str], dict[str, Image]]:
         """The nodes that have to run, in order, and the images from the cache that they read or the caller keeps."""
-        inner = {source for name in wanted for source in self.nodes[name].inputs}
-        asked, note = set(kept), self._note()
+        inner = {source for name in needed for source in self.nodes[name].inputs}
+        open_names, note = set(returned), self._note()
         running: list[str] = []
-        found: dict[str, Image] = {}
-        for name in reversed(wanted):
-            if name in inner and name not in asked:
+        cached: dict[str, Image] = {}
+        for name in reversed(needed):
+            if name in inner and name not in open_names:
                 continue
             if (key := keys[name]) is not None:
-                if name not in asked and cache.has(key):
+                if name not in open_names and cache.has(key):
                     continue
                 if (image := cache.get(key)) is not None:
-                    found[name] = _noted_as(image, note)
+                    cached[name] = _noted_as(image, note)
                     continue
             running.append(name)
-            asked.update(self.nodes[name].inputs)
-        return running[::-1], found
+            open_names.update(self.nodes[name].inputs)
+        return running[::-1], cached
 
     def _note(self) -> dict[str, str]:
         return {"graph_name": self.name, "graph_hash": self.hash}
@@ -371,9 +371,9 @@ class NodeGraph:
             return self._leading_to([until])
         if nodes := self.outputs_of(until).values():
             return self._leading_to(nodes)
-        known = [*self.nodes, *self.outputs]
+        names = [*self.nodes, *self.outputs]
         raise GraphError(
-            f"graph {self.name!r} has no node {until!r}; it has {', '.join(known)}.{did_you_mean(until, known)}"
+            f"graph {self.name!r} has no node {until!r}; it has {', '.join(names)}.{did_you_mean(until, names)}"
         )
 
     def _leading_to(self, names: Iterable[str]) -> list[str]:
@@ -384,7 +384,7 @@ class NodeGraph:
                 needed.update(self.nodes[name].inputs)
         return [name for name in self.nodes if name in needed]
 
-    def _checked_inputs(self, images: Mapping[str, Image], wanted: Sequence[str]) -> dict[str, Image]:
+    def _checked_inputs(self, images: Mapping[str, Image], needed: Sequence[str]) -> dict[str, Image]:
         for name in images:
             if name not in self.inputs:
                 raise GraphError(
@@ -393,7 +393,7 @@ class NodeGraph:
                 )
         have: dict[str, Image] = {}
         note = self._note()
-        for name in sorted({source for node in wanted for source in self.nodes[node].inputs if source in self.inputs}):
+        for name in sorted({source for node in needed for source in self.nodes[node].inputs if source in self.inputs}):
             if name not in images:
                 raise GraphError(
                     f"graph {self.name!r} needs an image for its input {name!r}; it was given "

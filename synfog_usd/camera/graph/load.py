@@ -165,7 +165,7 @@ class _Loader:
         if item is None:
             return {}
         words = {quantity.value: quantity for quantity in Quantity}
-        found: dict[str, Port] = {}
+        ports: dict[str, Port] = {}
         entries: Iterable[tuple[Located, Any, Any]]
         if isinstance(item.value, list):
             entries = [(entry, entry.value, None) for entry in item.value]
@@ -181,7 +181,7 @@ class _Loader:
                 )
                 self.unsure.add("inputs")
                 continue
-            if name in found:
+            if name in ports:
                 self.faults.add(place, f"input {name!r} stands here twice")
             if word is not None and (not isinstance(word, str) or word not in words):
                 self.faults.add(
@@ -189,13 +189,13 @@ class _Loader:
                     f"input {name!r} is {entry.plain()!r}; it takes one of "
                     f"{', '.join(words)}.{did_you_mean(str(word), words)}",
                 )
-                found[name] = Port()
+                ports[name] = Port()
             else:
-                found[name] = Port(words[word] if word is not None else Quantity.RADIANCE)
-        return found
+                ports[name] = Port(words[word] if word is not None else Quantity.RADIANCE)
+        return ports
 
     def read_profiles(self) -> dict[str, Profile]:
-        found: dict[str, Profile] = {}
+        profiles: dict[str, Profile] = {}
         for kind, loader in self.registry.profiles.items():
             item = self.top.get(kind)
             if item is None:
@@ -209,12 +209,12 @@ class _Loader:
                 continue
             try:
                 folder = self.folder if item.place.file == self.root.place.file else Path(item.place.file).parent
-                found[kind] = loader(item.value, folder)
+                profiles[kind] = loader(item.value, folder)
             except SynfogError as error:
                 self.faults.take(item.place, type(error)(f"{item.place}: {kind} {item.value!r}: {error}"))
             else:
                 self.unsure.discard(kind)
-        return found
+        return profiles
 
     def read_nodes(self, inputs: Mapping[str, Port], profiles: Mapping[str, Profile]) -> list[_Draft]:
         item = self.section("nodes", list, "a list, each entry with an 'op'")
@@ -250,17 +250,18 @@ class _Loader:
         if op_item is None:
             self.faults.add(entry.place, f"node {number} has no 'op'")
         elif op is None:
-            known = sorted(self.registry.ops)
-            there = f"there are {', '.join(known) or 'none'}"
+            known_ops = sorted(self.registry.ops)
+            there = f"there are {', '.join(known_ops) or 'none'}"
             self.faults.add(
                 op_item.place,
-                f"no op {op_item.plain()!r}; {there}{'.' if known else ''}{did_you_mean(str(op_item.plain()), known)}",
+                f"no op {op_item.plain()!r}; {there}{'.' if known_ops else ''}"
+                f"{did_you_mean(str(op_item.plain()), known_ops)}",
             )
         name_item = fields.get("name")
         if (name_item is not None or op is not None) and not (isinstance(name, str) and _NAME.fullmatch(name)):
             place = name_item.place if name_item is not None else entry.place
-            found = name_item.plain() if name_item is not None else name
-            self.faults.add(place, f"node name {found!r} is not a name; use lower-case letters, digits and _")
+            op_name = name_item.plain() if name_item is not None else name
+            self.faults.add(place, f"node name {op_name!r} is not a name; use lower-case letters, digits and _")
         elif name_item is not None and not isinstance(name_item.value, str):
             self.faults.add(
                 name_item.place, f"node name {name_item.plain()!r} is not a name; use lower-case letters, digits and _"
@@ -268,10 +269,10 @@ class _Loader:
         draft = _Draft(name, op, entry.place)
         draft.sources = self.read_sources(draft, fields.get("in"), previous)
         if op is not None:
-            given = {key: value for key, value in fields.items() if key not in ("name", "op", "in")}
-            draft.params = self.read_params(str(draft), op, entry.place, given, profiles)
+            values = {key: value for key, value in fields.items() if key not in ("name", "op", "in")}
+            draft.params = self.read_params(str(draft), op, entry.place, values, profiles)
             if fault := fault_of(op, draft.params):
-                place = next((item.place for item in given.values()), entry.place)
+                place = next((item.place for item in values.values()), entry.place)
                 self.faults.add(place, f"{draft}: {fault}")
         return draft
 
@@ -300,17 +301,17 @@ class _Loader:
         return sources
 
     def read_params(
-        self, where: str, op: Op, place: Place, given: Mapping[str, Located], profiles: Mapping[str, Profile]
+        self, where: str, op: Op, place: Place, values: Mapping[str, Located], profiles: Mapping[str, Profile]
     ) -> dict[str, Bound]:
-        for key, item in given.items():
+        for key, item in values.items():
             try:
                 known_parameter(f"{item.key_place}: {where}", op, key)
             except GraphError as error:
                 self.faults.take(item.key_place or item.place, error)
-        misspelt = any(key not in op.parameters for key in given)
+        misspelt = any(key not in op.parameters for key in values)
         params: dict[str, Bound] = {}
         for parameter in op.parameters.values():
-            item = given.get(parameter.name) if parameter.can_be_set else None  # type: ignore[assignment]
+            item = values.get(parameter.name) if parameter.can_be_set else None  # type: ignore[assignment]
             try:
                 if item is not None:
                     params[parameter.name] = bind(f"{item.place}: {where}", parameter, item.plain(), "file")
@@ -336,10 +337,10 @@ class _Loader:
                 return Bound(parameter.default, "default")
             if source.kind in self.unsure:
                 raise _UnsureError
-            own = f", or give {parameter.name} here" if parameter.can_be_set else ""
+            advice = f", or give {parameter.name} here" if parameter.can_be_set else ""
             raise GraphError(
                 f"{where} takes {parameter.name} from the {source.kind} profile; name one at the top with "
-                f"'{source.kind}: ...'{own}"
+                f"'{source.kind}: ...'{advice}"
             )
         value: Any = profiles[source.kind]
         for part in source.path.split(".")[1:]:
@@ -390,37 +391,37 @@ class _Loader:
 
     def typed(self, draft: _Draft, arriving: Sequence[Port]) -> Port:
         for index, (port, (source, place)) in enumerate(zip(arriving, draft.sources, strict=True)):
-            wanted = draft.op.port(index) if draft.op else Port()
-            if not wanted.accepts(port):
-                self.faults.add(place, f"{draft} takes {wanted}; {source!r} gives {port}. {self.advice(wanted)}")
+            needed = draft.op.port(index) if draft.op else Port()
+            if not needed.accepts(port):
+                self.faults.add(place, f"{draft} takes {needed}; {source!r} gives {port}. {self.advice(needed)}")
                 draft.wrong = True  # what follows from one node in the wrong place is not told
         return draft.result(arriving)
 
-    def advice(self, wanted: Port) -> str:
+    def advice(self, port: Port) -> str:
         makers = sorted(
             op.name
             for op in self.registry
-            if op.gives.quantity is wanted.quantity and op.gives.quantity is not None and wanted.accepts(op.gives)
+            if op.gives.quantity is port.quantity and op.gives.quantity is not None and port.accepts(op.gives)
         )
-        if wanted.quantity is Quantity.DATA:
+        if port.quantity is Quantity.DATA:
             return "The graph's header declares an input of data: 'inputs: {radiance: radiance, depth: data}'"
-        return f"What gives {wanted}: {', '.join(makers)}" if makers else f"Name a node that gives {wanted} in 'in'"
+        return f"What gives {port}: {', '.join(makers)}" if makers else f"Name a node that gives {port} in 'in'"
 
     def read_outputs(
         self, gives: Mapping[str, Port]
     ) -> tuple[dict[str, str], dict[str, dict[str, output_files.Value]]]:
         """File name -> node; and file name -> how it is written, where the graph says."""
         item = self.section("outputs", dict, "a mapping of file names to nodes, such as srgb.png: gamma")
-        found: dict[str, str] = {}
+        outputs: dict[str, str] = {}
         options: dict[str, dict[str, output_files.Value]] = {}
         for file_name, entry in item.value.items() if item else ():
             fault = output_files.fault(file_name)
-            if not fault and file_name.lower() in (name.lower() for name in found):
+            if not fault and file_name.lower() in (name.lower() for name in outputs):
                 fault = "some systems cannot tell it from another output's name"
             if fault:
                 self.faults.add(entry.key_place or entry.place, f"output {file_name!r}: {fault}")
                 continue
-            said, node = self.read_options(file_name, entry) if isinstance(entry.value, dict) else ({}, entry)
+            settings, node = self.read_options(file_name, entry) if isinstance(entry.value, dict) else ({}, entry)
             if node is None:
                 continue
             if not isinstance(node.value, str) or node.value not in gives:
@@ -428,26 +429,27 @@ class _Loader:
                     there = f"there are {', '.join(gives)}.{did_you_mean(str(node.value), gives)}"
                     self.faults.add(node.place, f"output {file_name!r} is {node.plain()!r}, which is no node; {there}")
                 continue
-            wanted, given = output_files.port(file_name, said), gives[node.value]
-            if not wanted.accepts(given):
-                fitting = [name for name, port in gives.items() if port.quantity and wanted.accepts(port)]
+            needed, gives_port = output_files.port(file_name, settings), gives[node.value]
+            if not needed.accepts(gives_port):
+                fitting = [name for name, port in gives.items() if port.quantity and needed.accepts(port)]
                 hint = f"; what fits: {', '.join(fitting)}" if fitting else ""
                 words = (
-                    "".join(f" with {word}: {value}" for word, value in said.items())
-                    if wanted != output_files.port(file_name, {})
+                    "".join(f" with {word}: {value}" for word, value in settings.items())
+                    if needed != output_files.port(file_name, {})
                     else ""
                 )
                 self.faults.add(
-                    node.place, f"output {file_name!r}{words} takes {wanted}; node {node.value!r} gives {given}{hint}"
+                    node.place,
+                    f"output {file_name!r}{words} takes {needed}; node {node.value!r} gives {gives_port}{hint}",
                 )
-            found[file_name] = node.value
-            if said:
-                options[file_name] = said
-        return found, options
+            outputs[file_name] = node.value
+            if settings:
+                options[file_name] = settings
+        return outputs, options
 
     def read_options(self, file_name: str, entry: Located) -> tuple[dict[str, output_files.Value], Located | None]:
         """How an output is written, as far as it is right, and its node."""
-        said: dict[str, output_files.Value] = {}
+        options: dict[str, output_files.Value] = {}
         for word, item in entry.value.items():
             if word == output_files.NODE:
                 continue
@@ -458,13 +460,13 @@ class _Loader:
                     f"output {file_name!r}{' ' if misspelt else ': '}{fault}",
                 )
             else:
-                said[word] = output_files.OPTIONS[output_files.suffix_of(file_name)][word].read(item.value)
+                options[word] = output_files.OPTIONS[output_files.suffix_of(file_name)][word].read(item.value)
         node = entry.value.get(output_files.NODE)
         if node is None:
             self.faults.add(
                 entry.place, f"output {file_name!r} has no 'node'; name the node that it is made of, beside what it has"
             )
-        return said, node
+        return options, node
 
 
 class _UnsureError(Exception):

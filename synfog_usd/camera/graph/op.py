@@ -128,12 +128,12 @@ class Port:
     layout: str | None = None
     stages: tuple[str, ...] = ()
 
-    def accepts(self, other: Port) -> bool:
-        """Whether `other` may flow in here; what is unknown about it is let through."""
+    def accepts(self, port: Port) -> bool:
+        """Whether `port` may flow in here; what is unknown about it is let through."""
         return (
-            (self.quantity is None or other.quantity in (None, self.quantity))
-            and (self.layout is None or other.layout in (None, self.layout))
-            and (not self.stages or set(other.stages) <= set(self.stages))
+            (self.quantity is None or port.quantity in (None, self.quantity))
+            and (self.layout is None or port.layout in (None, self.layout))
+            and (not self.stages or set(port.stages) <= set(self.stages))
         )
 
     def __str__(self) -> str:
@@ -223,8 +223,8 @@ class Parameter:
                 raise ValueError(f"is {value!r}")
             return int(self._limited(number))
         if self.kind == "switch":
-            if isinstance(told := switch(value), bool):
-                return told
+            if isinstance(flag := switch(value), bool):
+                return flag
         elif self.kind == "choice":
             if value in self.choices:
                 return value
@@ -310,8 +310,10 @@ class Op:
 
     def result(self, first: Port) -> Port:
         """What comes out when `first` is what the first image is."""
-        kept = first.stages if self.gives.quantity in (None, first.quantity) else ()
-        return Port(self.gives.quantity or first.quantity, self.gives.layout or first.layout, self.gives.stages or kept)
+        stages = first.stages if self.gives.quantity in (None, first.quantity) else ()
+        return Port(
+            self.gives.quantity or first.quantity, self.gives.layout or first.layout, self.gives.stages or stages
+        )
 
 
 class Profile(Protocol):
@@ -450,13 +452,15 @@ def _unit_of_name(name: str) -> str:
 
 def _unit_of_text(text: str) -> str:
     """What stands in square brackets; [1] is no unit."""
-    found = _BRACKETS.search(text)
-    return found[1] if found and not found[1].isdigit() else ""
+    match = _BRACKETS.search(text)
+    return match[1] if match and not match[1].isdigit() else ""
 
 
 def _parameter(op: str, item: inspect.Parameter, hint: Any, text: str) -> Parameter:
-    if (named := _unit_of_name(item.name)) and (said := _unit_of_text(text)) and named != said:
-        raise TypeError(f"op {op!r}: parameter {item.name!r} is in {named} by its name, but in {said} by the docstring")
+    if (named := _unit_of_name(item.name)) and (unit_in_text := _unit_of_text(text)) and named != unit_in_text:
+        raise TypeError(
+            f"op {op!r}: parameter {item.name!r} is in {named} by its name, but in {unit_in_text} by the docstring"
+        )
     default = MISSING if item.default is item.empty else item.default
     limits, profile, auto = Range(), None, None
     hint, optional = _without_none(hint)  # Python 3.10 wraps a hint whose default is None once more

@@ -22,8 +22,8 @@ def page(registry: Registry, name: str) -> str:
     """
     op = registry.ops.get(name)
     if op is None:
-        known = sorted(registry.ops)
-        raise GraphError(f"no op {name!r}; there are {', '.join(known)}.{did_you_mean(name, known)}")
+        names = sorted(registry.ops)
+        raise GraphError(f"no op {name!r}; there are {', '.join(names)}.{did_you_mean(name, names)}")
     return "\n".join(_lines(op))
 
 

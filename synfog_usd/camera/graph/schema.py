@@ -175,10 +175,10 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
         forms.append({"const": "auto", "description": "Found by the run."})
     if parameter.optional:
         forms.append({"type": "null"})
-    found: dict[str, Any] = {"description": " ".join(part for part in (parameter.help, f"Takes {parameter}.") if part)}
+    entry: dict[str, Any] = {"description": " ".join(part for part in (parameter.help, f"Takes {parameter}.") if part)}
     if parameter.default is not MISSING and parameter.default is not None:
-        found["default"] = list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
-    return found | (forms[0] if len(forms) == 1 else {"anyOf": forms})
+        entry["default"] = list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
+    return entry | (forms[0] if len(forms) == 1 else {"anyOf": forms})
 
 
 def _forms(parameter: Parameter) -> list[dict[str, Any]]:
@@ -198,5 +198,5 @@ def _forms(parameter: Parameter) -> list[dict[str, Any]]:
 
 def _limits(parameter: Parameter) -> dict[str, float]:
     low, high = parameter.limits.low, parameter.limits.high
-    found = {} if low is None else {"exclusiveMinimum" if parameter.limits.above else "minimum": low}
-    return found if high is None else {**found, "maximum": high}
+    limits = {} if low is None else {"exclusiveMinimum" if parameter.limits.above else "minimum": low}
+    return limits if high is None else {**limits, "maximum": high}

@@ -56,15 +56,15 @@ def write_output(name: str, image: Image, folder: Path, *, options: Mapping[str,
     if suffix not in WRITERS:
         raise OutputError(f"output {name!r}: format {suffix!r} is not known; it can be {', '.join(WRITERS)}")
     write, path = WRITERS[suffix], folder / name
-    known = [
+    formats = [
         parameter.name
         for parameter in inspect.signature(write).parameters.values()
         if parameter.kind is parameter.KEYWORD_ONLY
     ]
     for word in options or {}:
-        if word not in known:
+        if word not in formats:
             raise OutputError(
-                f"output {name!r} has no {word!r}; it takes {', '.join(known)}.{did_you_mean(word, known)}"
+                f"output {name!r} has no {word!r}; it takes {', '.join(formats)}.{did_you_mean(word, formats)}"
             )
     write(path, image, **(options or {}))
     return path

@@ -323,8 +323,8 @@ def _colour_tags(metadata: Mapping[str, Any]) -> list[Tag]:
     )  # a slope of 0 is no legal profile
     if count < 3:
         return tags
-    told = [letter for letter in _FILTERS if letter in planes]
-    order = [told.index(letter) for letter in planes]
+    present = [letter for letter in _FILTERS if letter in planes]
+    order = [present.index(letter) for letter in planes]
 
     matrices = []
     for key, illuminant in (("xyz_to_camera_a", 17), ("xyz_to_camera", 21)):

@@ -49,20 +49,20 @@ class Levels:
 
 def directories_of_dng(path: Path) -> list[Directory]:
     """Directories of a DNG, with the tags that this module reads; none of any other file."""
-    found = directories(path, CODES)
-    return found if any(DNG_VERSION in directory for directory in found) else []
+    result = directories(path, CODES)
+    return result if any(DNG_VERSION in directory for directory in result) else []
 
 
-def mosaics(found: list[Directory]) -> list[Directory]:
+def mosaics(all_directories: list[Directory]) -> list[Directory]:
     """Directories that hold a mosaic of one number a pixel, the main ones before smaller copies."""
-    kept = []
-    for directory in found:
+    result = []
+    for directory in all_directories:
         try:
             if directory.whole(PHOTOMETRIC, "kind of image") == CFA and directory.whole(SAMPLES, "samples", 1) == 1:
-                kept.append((directory.whole(SUBFILE, "NewSubfileType", 0) != 0, directory))
+                result.append((directory.whole(SUBFILE, "NewSubfileType", 0) != 0, directory))
         except ImageError:  # an image that nobody can tell is none
             continue
-    return [directory for _, directory in sorted(kept, key=lambda one: one[0])]
+    return [directory for _, directory in sorted(result, key=lambda one: one[0])]
 
 
 def shape_of(mosaic: Directory) -> tuple[int, int]:
@@ -89,13 +89,13 @@ def levels(mosaic: Directory) -> Levels:
     path, (height, width) = mosaic.path, shape_of(mosaic)
     active = (0, 0, height, width)
     if ACTIVE_AREA in mosaic:
-        top, left, bottom, right = (int(side) for side in mosaic.numbers(ACTIVE_AREA, "ActiveArea", 4))
-        if not (0 <= top < bottom <= height and 0 <= left < right <= width):
+        top, x0, bottom, right = (int(side) for side in mosaic.numbers(ACTIVE_AREA, "ActiveArea", 4))
+        if not (0 <= top < bottom <= height and 0 <= x0 < right <= width):
             raise ImageError(
-                f"{path}: its ActiveArea goes from row {top}, column {left} to row {bottom}, column {right}; the image "
+                f"{path}: its ActiveArea goes from row {top}, column {x0} to row {bottom}, column {right}; the image "
                 f"has {height} rows and {width} columns. The file is damaged"
             )
-        active = (top, left, bottom, right)
+        active = (top, x0, bottom, right)
     black = _black(mosaic, active[2] - active[0], active[3] - active[1])
     white = 2.0 ** mosaic.whole(BITS, "BitsPerSample") - 1.0
     if WHITE in mosaic:
@@ -117,13 +117,13 @@ def _black(mosaic: Directory, height: int, width: int) -> FloatArray:
             raise ImageError(f"{mosaic.path}: its BlackLevelRepeatDim is {rows} x {columns}. The file is damaged")
     black = np.zeros((height, width), dtype=np.float32)
     if BLACK in mosaic:
-        told = mosaic.numbers(BLACK, "BlackLevel")
-        if told.size > 1:
-            told = mosaic.numbers(BLACK, "BlackLevel", rows * columns)
-            pattern = told.reshape(rows, columns)
+        values = mosaic.numbers(BLACK, "BlackLevel")
+        if values.size > 1:
+            values = mosaic.numbers(BLACK, "BlackLevel", rows * columns)
+            pattern = values.reshape(rows, columns)
             black += pattern[np.ix_(np.arange(height) % rows, np.arange(width) % columns)]
         else:
-            black += told
+            black += values
     if DELTA_H in mosaic:
         black += mosaic.numbers(DELTA_H, "BlackLevelDeltaH", width)
     if DELTA_V in mosaic:
@@ -131,14 +131,14 @@ def _black(mosaic: Directory, height: int, width: int) -> FloatArray:
     return black
 
 
-def noise_profile(found: list[Directory]) -> dict[str, Any]:
+def noise_profile(all_directories: list[Directory]) -> dict[str, Any]:
     """The noise of a DNG's green, or nothing where the file does not say it or says what no noise can be."""
-    directory = next((directory for directory in found if NOISE in directory), None)
+    directory = next((directory for directory in all_directories if NOISE in directory), None)
     if directory is None:
         return {}
     try:
-        told = [float(value) for value in directory.numbers(NOISE, "NoiseProfile")]
+        values = [float(value) for value in directory.numbers(NOISE, "NoiseProfile")]
     except ImageError:
         return {}
-    green = told[2:4] if len(told) >= 4 else told[:2]
+    green = values[2:4] if len(values) >= 4 else values[:2]
     return {"noise_profile": green} if len(green) == 2 and min(green) >= 0.0 and max(green) < MOST_NOISE else {}

@@ -172,22 +172,22 @@ def read_exr(
     Source: attributes: OpenEXR, "Standard Attributes" (version 3.2).
     """
     pixels, names, metadata = _read(path)
-    said = metadata.get("synfog:quantity")
+    quantity_word = metadata.get("synfog:quantity")
     if quantity is None:
-        quantity = next((item for item in Quantity if item.value == said), declared or Quantity.RADIANCE)
+        quantity = next((item for item in Quantity if item.value == quantity_word), declared or Quantity.RADIANCE)
     if channels is None:
         channels = _default_channels(path, names, metadata, quantity)
     missing = [name for name in channels if name not in names]
     if missing:
         raise ImageError(f"{path}: no channel {', '.join(missing)}; it has {', '.join(names)}")
-    known = _provenance(metadata)
-    if "fov_x_deg" not in known and (fov_deg := _fov_x_deg(metadata)) is not None:
-        known["fov_x_deg"] = fov_deg
+    provenance = _provenance(metadata)
+    if "fov_x_deg" not in provenance and (fov_deg := _fov_x_deg(metadata)) is not None:
+        provenance["fov_x_deg"] = fov_deg
     image = Image(
         np.ascontiguousarray(pixels[..., [names.index(name) for name in channels]]),
         tuple(channels),
         quantity,
-        provenance=known,
+        provenance=provenance,
     )
     if image.channels == ("R", "G", "B") and quantity is not Quantity.DATA:
         image = _rec709(image, metadata.get("chromaticities"))
@@ -228,8 +228,8 @@ def repaired(image: Image) -> Image:
     pixels = np.maximum(np.where(broken, 0.0, image.pixels), 0.0)
     for row, column, channel in np.argwhere(broken):
         around = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2), channel
-        known = image.pixels[around][~broken[around]]
-        pixels[row, column, channel] = max(float(np.median(known)), 0.0) if known.size else 0.0
+        neighbours = image.pixels[around][~broken[around]]
+        pixels[row, column, channel] = max(float(np.median(neighbours)), 0.0) if neighbours.size else 0.0
     return image.with_pixels(pixels).with_metadata(repaired_values=count)
 
 
@@ -346,23 +346,23 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
 
 def _part(path: Path, source: Any) -> int:
     """Number of the part that is the picture; the source stands on it."""
-    found: dict[int, str] = {}
+    by_part: dict[int, str] = {}
     count = 0
     while source.seek_subimage(count, 0):
         spec = source.spec()
         if {"R", "G", "B"} <= set(spec.channelnames) or any(
             band_centre_nm(name) is not None for name in spec.channelnames
         ):
-            found[count] = str(
+            by_part[count] = str(
                 spec.getattribute("name") or spec.getattribute("oiio:subimagename") or f"part {count + 1}"
             )
         count += 1
-    if len(found) > 1:
+    if len(by_part) > 1:
         raise ImageError(
-            f"{path}: {len(found)} of its {count} parts hold colour or bands: {', '.join(found.values())}; save the "
-            f"one that is meant by itself"
+            f"{path}: {len(by_part)} of its {count} parts hold colour or bands: {', '.join(by_part.values())}; save "
+            f"the one that is meant by itself"
         )
-    part = next(iter(found), 0)
+    part = next(iter(by_part), 0)
     source.seek_subimage(part, 0)
     return part
 
@@ -401,8 +401,8 @@ def _default_channels(path: Path, names: list[str], metadata: Mapping[str, Any],
 
 
 def _provenance(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    kept = _json(metadata.get("synfog:provenance"))
-    return kept if isinstance(kept, dict) else {}
+    content = _json(metadata.get("synfog:provenance"))
+    return content if isinstance(content, dict) else {}
 
 
 def _json(text: Any) -> Any:

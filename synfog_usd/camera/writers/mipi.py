@@ -74,8 +74,8 @@ def write_mipi(path: Path, image: Image, *, embedded_lines: Literal[0, 1, 2] = 0
             f"{path}: DN from {pixels.min():g} to {pixels.max():g} do not fit {bits} bits, 0 to {2**bits - 1}; {hint}"
         )
     lines = packed(np.rint(pixels).astype(np.uint16), bits)
-    said = [_registers(image, bits), {}][:embedded_lines]
-    heads = [embedded(registers, lines.shape[1], bits) for registers in said]
+    embedded_rows = [_registers(image, bits), {}][:embedded_lines]
+    heads = [embedded(registers, lines.shape[1], bits) for registers in embedded_rows]
 
     def write(temporary: Path) -> None:
         temporary.write_bytes(b"".join([*heads, lines.tobytes()]))
@@ -103,33 +103,33 @@ def embedded(registers: dict[str, int], line_bytes: int, bits: int) -> bytes:
     Raises:
         OutputError: the line is too short.
     """
-    said = [LINE_START]
+    codes = [LINE_START]
     for name, value in registers.items():
         address, size = REGISTERS[name]
-        said += [REGISTER_HIGH, address >> 8, REGISTER_LOW, address & 0xFF]
+        codes += [REGISTER_HIGH, address >> 8, REGISTER_LOW, address & 0xFF]
         for place in reversed(range(size)):
-            said += [VALUE, (value >> (8 * place)) & 0xFF]
-    said += [LINE_END, LINE_END]
+            codes += [VALUE, (value >> (8 * place)) & 0xFF]
+    codes += [LINE_END, LINE_END]
     group = GROUP_PX[bits]
     padding = group * (bits - 8) // 8
     held = line_bytes // (group + padding) * group
-    if len(said) > held:
+    if len(codes) > held:
         raise OutputError(
-            f"a line of {line_bytes} bytes holds no embedded data, which takes {len(said)} of {held}; set "
+            f"a line of {line_bytes} bytes holds no embedded data, which takes {len(codes)} of {held}; set "
             f"embedded_lines: 0"
         )
     rows = np.full((held // group, group + padding), SKIP, dtype=np.uint8)
-    rows[:, :group] = np.array(said + [LINE_END] * (held - len(said)), dtype=np.uint8).reshape(-1, group)
+    rows[:, :group] = np.array(codes + [LINE_END] * (held - len(codes)), dtype=np.uint8).reshape(-1, group)
     return rows.tobytes()
 
 
 def _registers(image: Image, bits: int) -> dict[str, int]:
     """What the registers hold; what they cannot hold is left out."""
-    told: dict[str, Any] = {
+    values: dict[str, Any] = {
         "data_pedestal": image.provenance.get("black_level_dn", 0.0),
         "csi_data_format": bits << 8 | bits,
         "coarse_integration_time": image.provenance.get("exposure_s", 0.0) / ROW_S,
         "x_output_size": image.width_px,
         "y_output_size": image.height_px,
     }
-    return {name: round(value) for name, value in told.items() if -0.5 < value < 0xFFFF + 0.5}
+    return {name: round(value) for name, value in values.items() if -0.5 < value < 0xFFFF + 0.5}

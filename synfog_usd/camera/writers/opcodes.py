@@ -35,15 +35,15 @@ def opcode_list(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> b
 
     Source: Adobe, Digital Negative Specification 1.7.1, chapter 7.
     """
-    found = []
+    codes = []
     for opcode in (_warp, _vignette):
         try:
             with np.errstate(all="ignore"):
-                found.append(opcode(height_px, width_px, metadata))
+                codes.append(opcode(height_px, width_px, metadata))
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):  # what is not finite cannot be fitted
             continue
-    found = [one for one in found if one]
-    return struct.pack(">I", len(found)) + b"".join(found) if found else b""
+    codes = [code for code in codes if code]
+    return struct.pack(">I", len(codes)) + b"".join(codes) if codes else b""
 
 
 def _warp(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:

@@ -67,10 +67,10 @@ def read_raw(path: Path) -> Image:
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
     try:
-        told = dng_levels.directories_of_dng(path)
-        source, more = _bare(path, told) or (str(path), {})
+        directories = dng_levels.directories_of_dng(path)
+        source, more = _bare(path, directories) or (str(path), {})
         with rawpy.imread(source) as raw:
-            pixels, metadata = _mosaic(path, raw, told)
+            pixels, metadata = _mosaic(path, raw, directories)
     except ImageError:
         raise
     except Exception as error:  # a damaged file can fail anywhere
@@ -79,11 +79,11 @@ def read_raw(path: Path) -> Image:
             f"{path}: cannot be read as RAW ({str(reason) or type(error).__name__}); an EXR, a DNG or another camera's "
             f"RAW file is needed"
         ) from error
-    metadata |= more | dng_levels.noise_profile(told)
+    metadata |= more | dng_levels.noise_profile(directories)
     return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata)
 
 
-def _mosaic(path: Path, raw: Any, told: list[Directory]) -> tuple[FloatArray, dict[str, Any]]:
+def _mosaic(path: Path, raw: Any, directories: list[Directory]) -> tuple[FloatArray, dict[str, Any]]:
     """(H, W) numbers above one black, and the provenance."""
     import rawpy
 
@@ -92,8 +92,10 @@ def _mosaic(path: Path, raw: Any, told: list[Directory]) -> tuple[FloatArray, di
     if raw.raw_type is not rawpy.RawType.Flat or raw.raw_image_visible is None:
         raise ImageError(f"{path}: holds no mosaic of one number a pixel")
     shape = (raw.sizes.raw_height, raw.sizes.raw_width)
-    mosaic = next((found for found in dng_levels.mosaics(told) if dng_levels.shape_of(found) == shape), None)
-    if told and mosaic is None:
+    mosaic = next(
+        (directory for directory in dng_levels.mosaics(directories) if dng_levels.shape_of(directory) == shape), None
+    )
+    if directories and mosaic is None:
         raise ImageError(f"{path}: LibRaw finds a mosaic of {shape[1]} x {shape[0]} pixels; the DNG's tags have none")
     if mosaic is None or dng_levels.of_floats(mosaic):  # LibRaw makes whole numbers of floats, and levels that fit
         filters = raw.raw_colors_visible
@@ -103,19 +105,19 @@ def _mosaic(path: Path, raw: Any, told: list[Directory]) -> tuple[FloatArray, di
         pixels = raw.raw_image_visible.astype(np.float32) - (blacks - np.float32(black))[filters]
         return pixels, metadata | {"black_level_dn": black, "white_level_dn": float(raw.white_level)}
     levels = dng_levels.levels(mosaic)
-    top, left, bottom, right = levels.active
-    metadata = _metadata(path, raw, raw.raw_colors[top:bottom, left:right])
+    top, x0, bottom, right = levels.active
+    metadata = _metadata(path, raw, raw.raw_colors[top:bottom, x0:right])
     black = float(levels.black.max())
-    pixels = raw.raw_image[top:bottom, left:right].astype(np.float32) + (np.float32(black) - levels.black)
+    pixels = raw.raw_image[top:bottom, x0:right].astype(np.float32) + (np.float32(black) - levels.black)
     return pixels, metadata | {"black_level_dn": black, "white_level_dn": levels.white}
 
 
-def _bare(path: Path, told: list[Directory]) -> tuple[io.BytesIO, dict[str, Any]] | None:
+def _bare(path: Path, directories: list[Directory]) -> tuple[io.BytesIO, dict[str, Any]] | None:
     """A DNG whose mosaic is of JPEG XL as one without compression, and how it was taken; None for any other file.
 
     Fields of rows and columns that stand side by side in it are put to their places.
     """
-    if not any(dng_levels.compression_of(mosaic) == JPEG_XL for mosaic in dng_levels.mosaics(told)):
+    if not any(dng_levels.compression_of(mosaic) == JPEG_XL for mosaic in dng_levels.mosaics(directories)):
         return None
     import tifffile
 
@@ -142,19 +144,19 @@ def _bare(path: Path, told: list[Directory]) -> tuple[io.BytesIO, dict[str, Any]
             ]
             pixels = np.empty_like(stored)
             pixels[np.ix_(*places)] = stored
-            kept = [
+            tags_kept = [
                 (tag.code, int(tag.dtype), tag.count, tag.value, True)
                 for code, tag in sorted(tags.items())
                 if code in KEPT_TAGS
             ]
-            taken = {**dict.fromkeys(EXIF.values(), 0), **(tags[34665].value if 34665 in tags else {})}
+            exif = {**dict.fromkeys(EXIF.values(), 0), **(tags[34665].value if 34665 in tags else {})}
         bare = io.BytesIO()
         with tifffile.TiffWriter(bare) as writer:
             version = (50706, 1, 4, bytes((1, 4, 0, 0)), True)
-            writer.write(pixels, photometric=32803, metadata=None, extratags=[version, *kept])
+            writer.write(pixels, photometric=32803, metadata=None, extratags=[version, *tags_kept])
         bare.seek(0)
-        said = {name: np.atleast_1d(taken[key]).astype(float) for name, key in EXIF.items()}
-        return bare, {name: float(part[0] / part[1:].prod()) for name, part in said.items() if (part > 0.0).all()}
+        values = {name: np.atleast_1d(exif[key]).astype(float) for name, key in EXIF.items()}
+        return bare, {name: float(part[0] / part[1:].prod()) for name, part in values.items() if (part > 0.0).all()}
     except Exception as error:  # a damaged file can fail anywhere in its decoders
         if not mosaics:
             return None  # LibRaw says what is wrong with it
@@ -168,15 +170,17 @@ def _decoded(page: Any) -> np.ndarray:
     """
     import imagecodecs
 
-    found = np.empty(page.shape, page.dtype)
+    decoded = np.empty(page.shape, page.dtype)
     (rows, columns), file = page.chunks, page.parent.filehandle
-    corners = [(row, column) for row in range(0, found.shape[0], rows) for column in range(0, found.shape[1], columns)]
+    corners = [
+        (row, column) for row in range(0, decoded.shape[0], rows) for column in range(0, decoded.shape[1], columns)
+    ]
     for (row, column), offset, length in zip(corners, page.dataoffsets, page.databytecounts, strict=True):
         file.seek(offset)
-        place = found[row : row + rows, column : column + columns]
+        place = decoded[row : row + rows, column : column + columns]
         tile = np.empty((rows if page.is_tiled else place.shape[0], columns), page.dtype)
         place[:] = imagecodecs.jpegxl_decode(file.read(length), out=tile)[: place.shape[0], : place.shape[1]]
-    return found
+    return decoded
 
 
 def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
@@ -197,9 +201,9 @@ def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
         raise ImageError(f"{path}: its filters are no Bayer pattern of 2 x 2 but {pattern}...; only those are read")
     gains = next(
         (
-            found
-            for found in (raw.camera_whitebalance, raw.daylight_whitebalance)
-            if min(found[:3]) > 0.0 and max(found[:3]) < math.inf
+            balance
+            for balance in (raw.camera_whitebalance, raw.daylight_whitebalance)
+            if min(balance[:3]) > 0.0 and max(balance[:3]) < math.inf
         ),
         None,
     )
@@ -214,7 +218,7 @@ def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
     matrix = np.array(raw.color_matrix, dtype=np.float64)[:, :3]
     if np.allclose(matrix.sum(axis=1), 1.0, atol=1e-3):
         metadata["camera_to_rec709"] = matrix.tolist()
-    taken = {
+    recorded = {
         "exposure_s": "shutter_speed",
         "iso": "iso_speed",
         "f_number": "aperture",
@@ -222,7 +226,7 @@ def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
     }
     metadata |= {
         name: float(value)
-        for name, key in taken.items()
+        for name, key in recorded.items()
         if (value := getattr(getattr(raw, "other", None), key, 0.0)) and 0.0 < value < math.inf
     }
     return metadata

@@ -76,13 +76,13 @@ class Directory:
             raise ImageError(f"{where} has {entry.count} numbers; {'some' if count is None else count} are needed")
         if len(entry.data) < entry.count * _BYTES[entry.kind]:
             raise ImageError(f"{where} has {entry.count} numbers, more than can be read. The file is damaged")
-        found = np.frombuffer(entry.data, self.order + _NUMBERS[entry.kind]).astype(np.float64)
+        values = np.frombuffer(entry.data, self.order + _NUMBERS[entry.kind]).astype(np.float64)
         if entry.kind in _FRACTIONS:
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = found[::2] / found[1::2]
-        if not np.isfinite(found).all():
+                values = values[::2] / values[1::2]
+        if not np.isfinite(values).all():
             raise ImageError(f"{where} has a number that is not finite. The file is damaged")
-        return found
+        return values
 
     def whole(self, code: int, name: str, default: int | None = None) -> int:
         """The first number of a tag, cut to a whole one."""
@@ -115,22 +115,22 @@ def directories(path: Path, codes: Collection[int]) -> list[Directory]:
 
 
 def _walk(
-    file: BinaryIO, path: Path, offset: int, order: str, big: bool, codes: Collection[int], seen: set[int]
+    file: BinaryIO, path: Path, offset: int, order: str, big: bool, codes: Collection[int], visited: set[int]
 ) -> Iterator[Directory]:
-    while offset and offset not in seen and len(seen) < MOST_DIRECTORIES:
-        seen.add(offset)
+    while offset and offset not in visited and len(visited) < MOST_DIRECTORIES:
+        visited.add(offset)
         entries, offset = _directory(file, offset, order, big, codes)
         if entries is None:
             return
-        found = Directory(path, order, entries)
-        yield found
-        if SUB_IFDS in entries and len(seen) < MOST_DIRECTORIES:
+        directory = Directory(path, order, entries)
+        yield directory
+        if SUB_IFDS in entries and len(visited) < MOST_DIRECTORIES:
             try:
-                places = found.numbers(SUB_IFDS, "SubIFDs")
+                places = directory.numbers(SUB_IFDS, "SubIFDs")
             except ImageError:
                 continue
             for place in places[:MOST_DIRECTORIES]:
-                yield from _walk(file, path, int(place), order, big, codes, seen)
+                yield from _walk(file, path, int(place), order, big, codes, visited)
 
 
 def _directory(

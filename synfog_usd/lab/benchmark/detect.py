@@ -480,10 +480,10 @@ def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -
             for fog in ("", *fogs(views)) if views else ():
                 inside = np.array([fog in ("", view.fog) for view in views])
                 draws = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
-                things = _count(groups[1]) * inside
-                enough = len({view.scene for view, n in zip(views, things, strict=True) if n}) >= FEWEST_SCENES
+                amounts = _count(groups[1]) * inside
+                enough = len({view.scene for view, n in zip(views, amounts, strict=True) if n}) >= FEWEST_SCENES
                 numbers = _told(draws[1] - draws[0], enough)
-                row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(things.sum()))
+                row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(amounts.sum()))
                 result.setdefault(run.name, []).append(row)
     return result
 
