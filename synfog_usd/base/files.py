@@ -13,7 +13,6 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from synfog_usd.base.errors import OutputError
 
@@ -54,7 +53,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     write_whole(path, lambda temporary: _put(temporary, data))
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: object) -> None:
     """Write `value` as indented JSON with a final newline, whole."""
     write_bytes(path, (json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
 

@@ -26,7 +26,7 @@ def check_words(options: Mapping[str, Any], allowed: Mapping[str, Any]) -> None:
             raise ParameterError(f"no option {word!r}; it takes {', '.join(allowed)}.{did_you_mean(word, allowed)}")
 
 
-def path_of(value: Any, option: str) -> Path:
+def path_of(value: object, option: str) -> Path:
     """A path from text or a path.
 
     Raises:
@@ -37,7 +37,7 @@ def path_of(value: Any, option: str) -> Path:
     return Path(value)
 
 
-def names(value: Any, option: str) -> tuple[str, ...]:
+def names(value: object, option: str) -> tuple[str, ...]:
     """Names from text with commas, or a list of text."""
     if isinstance(value, str):
         return numbers.names_of(value, option) or ()
@@ -46,7 +46,7 @@ def names(value: Any, option: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def number(value: Any, option: str) -> float:
+def number(value: object, option: str) -> float:
     """A number, not text."""
     try:
         if isinstance(value, (str, bytes, bool)):
@@ -56,7 +56,7 @@ def number(value: Any, option: str) -> float:
         raise ParameterError(f"{option} {value!r}: not a number") from None
 
 
-def count(value: Any, option: str) -> int:
+def count(value: object, option: str) -> int:
     """A whole number, not text."""
     try:
         if isinstance(value, bool):
@@ -66,19 +66,19 @@ def count(value: Any, option: str) -> int:
         raise ParameterError(f"{option} {value!r}: not a whole number") from None
 
 
-def word(value: Any, option: str) -> str:
+def word(value: object, option: str) -> str:
     """Text."""
     if not isinstance(value, str):
         raise ParameterError(f"{option} {value!r}: it takes a word")
     return value
 
 
-def seconds(value: Any, option: str) -> float:
+def seconds(value: object, option: str) -> float:
     """Seconds, as a number or as 1/200."""
     return numbers.seconds_of(value, option) if isinstance(value, str) else number(value, option)
 
 
-def switch(value: Any, option: str) -> bool:
+def switch(value: object, option: str) -> bool:
     """True or False."""
     if not isinstance(value, bool):
         raise ParameterError(f"{option} {value!r}: it takes True or False")

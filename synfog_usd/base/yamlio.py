@@ -58,7 +58,7 @@ class Located:
         return self.value
 
 
-def switch(value: Any) -> Any:
+def switch(value: object) -> Any:
     """True or false for a word that means it, in a file or behind --set; any other value as it is."""
     return SWITCHES.get(value.lower(), value) if isinstance(value, str) else value
 
@@ -118,7 +118,7 @@ def _composed(text: str) -> yaml.Node | None:
         return yaml.compose(text, Loader=yaml.SafeLoader)
 
 
-def from_python(value: Any, *, name: str) -> Located:
+def from_python(value: object, *, name: str) -> Located:
     """Plain data of Python's with places such as 'nodes[3].shoulder'; `name` is what errors call the whole."""
     return _PythonPlaces(name).located(value, "")
 
@@ -139,7 +139,7 @@ class _PythonPlaces:
     def __init__(self, name: str) -> None:
         self.name, self.count = name, 0
 
-    def located(self, value: Any, label: str) -> Located:
+    def located(self, value: object, label: str) -> Located:
         self.count += 1
         spot = _PythonPlace(self.name, self.count, 0, label or self.name)
         if isinstance(value, Mapping):

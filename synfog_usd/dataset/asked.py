@@ -24,7 +24,7 @@ Reader = Callable[[Any, str], Any]
 """Reads a value; the second argument is the option's name, for what is wrong."""
 
 
-def plan_of(stage: Any, out: Any = None, **asked: Any) -> BakePlan:
+def plan_of(stage: object, out: object = None, **asked: Any) -> BakePlan:
     """A plan from options of `synfog-usd bake`, with _ for -.
 
     Args:
@@ -43,13 +43,13 @@ def plan_of(stage: Any, out: Any = None, **asked: Any) -> BakePlan:
     return BakePlan(stage, out, **attributes)
 
 
-def fog_names(value: Any, option: str = "--fog") -> tuple[str, ...]:
+def fog_names(value: object, option: str = "--fog") -> tuple[str, ...]:
     """Names of fogs from a name, metres, a `Fog`, or several of them."""
     several = value if isinstance(value, (list, tuple)) else [value]
     return tuple(name for item in several for name in _fog_name(item, option))
 
 
-def _fog_name(value: Any, option: str) -> tuple[str, ...]:
+def _fog_name(value: object, option: str) -> tuple[str, ...]:
     if isinstance(value, str):
         return names(value, option)
     from synfog_usd.fog import Fog  # numpy, which a line of text does without
@@ -66,22 +66,22 @@ def _fog_name(value: Any, option: str) -> tuple[str, ...]:
     return (Fog(metres).name,)
 
 
-def _size(value: Any, option: str) -> tuple[int, int] | None:
+def _size(value: object, option: str) -> tuple[int, int] | None:
     if isinstance(value, (list, tuple)) and len(value) == 2:
         value = "x".join(str(count(side, option)) for side in value)
     return numbers.size_of(value if isinstance(value, str) else repr(value))
 
 
-def _folders(value: Any, option: str) -> tuple[Path, ...]:
+def _folders(value: object, option: str) -> tuple[Path, ...]:
     several = value if isinstance(value, (list, tuple)) else [value]
     return tuple(path_of(folder, option) for folder in several)
 
 
-def _quality(value: Any, option: str) -> Any:
+def _quality(value: object, option: str) -> Any:
     return value  # the plan itself looks at it
 
 
-def _choices(value: Any, option: str) -> tuple[str, ...]:
+def _choices(value: object, option: str) -> tuple[str, ...]:
     return names([value] if isinstance(value, str) else value, option) if value else ()
 
 

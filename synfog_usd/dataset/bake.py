@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from synfog_usd.base.notes import Note
     from synfog_usd.camera.distortion import Pinhole
+    from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Rendered, Settings
@@ -321,7 +322,7 @@ class _View:
         return _noise(self.pixel) if self.pixel else None
 
 
-def is_metered(graph: Any, plan: BakePlan) -> bool:
+def is_metered(graph: NodeGraph, plan: BakePlan) -> bool:
     """Whether a lighting is looked at in clear air, to find out how it is exposed."""
     from synfog_usd import camera
 
@@ -336,7 +337,7 @@ def clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str |
     return {name: replace(session.scenes(name).of(clear), fog=()) for name in (camera, *partners)}
 
 
-def _groups_for(graph: Any, rendered: Rendered) -> dict[str, Image]:
+def _groups_for(graph: NodeGraph, rendered: Rendered) -> dict[str, Image]:
     """The light of groups of lamps alone, for inputs that ask for it by name; 0 where no such lamp is lit."""
     import numpy as np
 
@@ -556,13 +557,15 @@ def taken_with(result: ShotMade, plan: BakePlan, specimen: str | None) -> dict[s
     return more
 
 
-def inputs_of(graph: Any, rendered: Rendered, radiance: Image, exposures: Mapping[str, Image]) -> dict[str, Image]:
+def inputs_of(
+    graph: NodeGraph, rendered: Rendered, radiance: Image, exposures: Mapping[str, Image]
+) -> dict[str, Image]:
     """What a graph is given of a shot: its light, and that of parts of the exposure and of groups of lamps."""
     whole = {} if exposures and "radiance" not in graph.inputs else {"radiance": radiance}
     return {**whole, **exposures, **_groups_for(graph, rendered)}
 
 
-def _finish(result: ShotMade, graph: Any, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
+def _finish(result: ShotMade, graph: NodeGraph, plan: BakePlan, specimen: str | None) -> dict[str, Any]:
     """Develop a shot, write its files, and give its row of the manifest."""
     from synfog_usd import camera
     from synfog_usd.camera import writers
@@ -658,7 +661,7 @@ def _metered_on(plan: BakePlan) -> dict[str, str]:
     return {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide{together}"}
 
 
-def _left(result: ShotMade, graph: Any) -> dict[int, dict[str, Any]]:
+def _left(result: ShotMade, graph: NodeGraph) -> dict[int, dict[str, Any]]:
     """What the fog leaves of each instance that is seen, by label id."""
     from synfog_usd import camera
     from synfog_usd.base import photometry
@@ -728,7 +731,7 @@ def _write_labels(
     visible: Aovs,
     scene: SceneDict,
     plan: BakePlan,
-    graph: Any = None,
+    graph: NodeGraph | None = None,
     pinhole: Pinhole | None = None,
     pierced: tuple[np.ndarray, np.ndarray] | None = None,
     loaded: MitsubaScene | None = None,

@@ -282,14 +282,14 @@ def _frame(labels: Image, captured: Captured) -> Frame:
     )
 
 
-def _one(value: Any, option: str) -> str:
+def _one(value: object, option: str) -> str:
     several = names(value, option)
     if len(several) != 1:
         raise ParameterError(f"{option} {value!r}: load takes one; bake takes several")
     return several[0]
 
 
-def _one_fog(fog: Any) -> tuple[str, ...]:
+def _one_fog(fog: object) -> tuple[str, ...]:
     several = (AS_AUTHORED,) if fog is None else fog_names(fog)
     if len(several) != 1:
         raise ParameterError(f"--fog {fog!r}: a scene is in one fog; bake takes several")

@@ -47,7 +47,13 @@ class BakeJob:
 
 
 def job_of(
-    stage: Any, out: Any = None, *, camera: Any = None, frames: Any = None, adaptation: Any = None, **asked: Any
+    stage: object,
+    out: object = None,
+    *,
+    camera: object = None,
+    frames: object = None,
+    adaptation: object = None,
+    **asked: Any,
 ) -> BakeJob:
     """A job from options of `synfog-usd bake`; see `plan_of`.
 

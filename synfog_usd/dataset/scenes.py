@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from synfog_usd.base.fisheye import Fisheye
     from synfog_usd.base.notes import Note
     from synfog_usd.camera.distortion import Pinhole
+    from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.scene import Camera, SceneDict
 
 
@@ -26,7 +27,7 @@ class Scenes:
     """
 
     def __init__(
-        self, stage: Any, plan: BakePlan, graph: Any = None, *, lightings: dict[str, Any] | None = None
+        self, stage: Any, plan: BakePlan, graph: NodeGraph | None = None, *, lightings: dict[str, Any] | None = None
     ) -> None:
         """`lightings` are the translations that the cameras of a rig share."""
         from synfog_usd import stage as usd
@@ -114,7 +115,7 @@ class Scenes:
         return tuple(dict.fromkeys([*all_notes, *_guessed(self.graph)]))
 
 
-def _guessed(graph: Any) -> list[Note]:
+def _guessed(graph: NodeGraph | None) -> list[Note]:
     from synfog_usd.base.notes import Note
     from synfog_usd.camera.profiles import guessed
 

@@ -21,6 +21,7 @@ from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.scenes import Scenes
 
 if TYPE_CHECKING:
+    from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.scene import SceneDict
 
@@ -45,7 +46,7 @@ class Session:
     """
 
     plan: BakePlan
-    graph: Any
+    graph: NodeGraph
     stage: Any
     cameras: tuple[str | None, ...]
     renderer: Renderer
@@ -139,7 +140,7 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
     return session
 
 
-def check_compensation(graph: Any, ev: float) -> None:
+def check_compensation(graph: NodeGraph, ev: float) -> None:
     """Refuse a change of what nobody meters.
 
     Raises:

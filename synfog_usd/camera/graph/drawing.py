@@ -342,7 +342,7 @@ def _flows(port: Port) -> str:
     return port.quantity.value if port.quantity else "anything"
 
 
-def _sourced(bound: Bound, looked_up: Any) -> str:
+def _sourced(bound: Bound, looked_up: object) -> str:
     if bound.is_auto:
         return f"{looked_up:.4g} (run)" if isinstance(looked_up, float | int) else _shown(bound)
     word = {"file": "", "default": "default", "override": "set"}.get(bound.source, bound.source.partition(".")[0])

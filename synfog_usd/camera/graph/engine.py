@@ -45,7 +45,7 @@ class Bound:
             'sensor.read_noise_e'.
     """
 
-    value: Any
+    value: object
     source: str
 
     @property
@@ -479,7 +479,7 @@ def fault_of(op: Op, params: Mapping[str, Bound]) -> str:
     return op.fault(*(params[name].value for name in names))
 
 
-def bind(where: str, parameter: Parameter, value: Any, source: str) -> Bound:
+def bind(where: str, parameter: Parameter, value: object, source: str) -> Bound:
     """A parameter's value, checked, or a GraphError that begins with `where`."""
     if isinstance(value, str) and value == AUTO and parameter.auto is not None:
         return Bound(parameter.default, "auto")

@@ -202,7 +202,7 @@ class Parameter:
         words += (f" {limits}" if limits else "") + (f" [{self.unit}]" if self.unit else "")
         return words + (" or auto" if self.auto else "")
 
-    def read(self, value: Any) -> Any:
+    def read(self, value: object) -> Any:
         """The value as the function wants it.
 
         Numbers may be written as text that Python or a photographer would read as
@@ -246,7 +246,7 @@ class Parameter:
         return value
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     if isinstance(value, str):
         text = value.strip()
         if _FRACTION.fullmatch(text):

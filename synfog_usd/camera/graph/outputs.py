@@ -44,11 +44,11 @@ class Option:
         """Whether it is true or false."""
         return isinstance(self.choices[0], bool)
 
-    def read(self, value: Any) -> Any:
+    def read(self, value: object) -> Any:
         """The value as the writer wants it; what it may not be stays as it is."""
         return switch(value) if self.switches else value
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: object) -> bool:
         """Whether it may be that; 1 is not true, and 8.0 is not 8."""
         return any(type(value) is type(choice) and value == choice for choice in self.choices)
 
@@ -136,7 +136,7 @@ def fault(file_name: str) -> str:
     return ""
 
 
-def option_fault(file_name: str, word: str, value: Any) -> tuple[bool, str]:
+def option_fault(file_name: str, word: str, value: object) -> tuple[bool, str]:
     """What is wrong with a word beside an output's node: whether it is the word itself, and what; (False, '') where
     nothing is.
 

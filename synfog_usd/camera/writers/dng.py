@@ -385,7 +385,7 @@ def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photomet
         assert not changes, "a tag that is to be changed is not in the file"
 
 
-def _number(value: Any) -> float:
+def _number(value: float) -> float:
     """A number as float; NaN where it is none."""
     try:
         return float(value)
@@ -393,7 +393,7 @@ def _number(value: Any) -> float:
         return math.nan
 
 
-def _log2(value: Any) -> float:
+def _log2(value: float) -> float:
     return math.log2(number) if (number := _number(value)) > 0.0 else math.nan
 
 
@@ -406,13 +406,13 @@ def _fractions(code: int, kind: int, values: Sequence[Any], denominator: int) ->
     return [(code, kind, len(values), tuple(number for value in scaled for number in (round(value), denominator)))]
 
 
-def _signed_fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+def _signed_fraction(code: int, value: float) -> list[tuple[int, int, int, bytes]]:
     """An Exif entry of a signed number in thousandths; none where 32 bits cannot hold it."""
     scaled = _number(value) * 1000.0
     return [(code, _SRATIONAL, 1, struct.pack("<ii", round(scaled), 1000))] if abs(scaled) < 2**31 - 1 else []
 
 
-def _fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+def _fraction(code: int, value: float) -> list[tuple[int, int, int, bytes]]:
     """An Exif entry of the fraction of 32 bits that is nearest; none where they cannot hold it.
 
     Short times come as 1/n where they are that.
@@ -426,7 +426,7 @@ def _fraction(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
     return [(code, _RATIONAL, 1, struct.pack("<II", fraction.numerator, fraction.denominator))]
 
 
-def _short(code: int, value: Any) -> list[tuple[int, int, int, bytes]]:
+def _short(code: int, value: float) -> list[tuple[int, int, int, bytes]]:
     """An Exif entry of a whole number of 16 bits; none where they cannot hold it."""
     number = _number(value)
     return [(code, _SHORT, 1, struct.pack("<H", round(number)))] if -0.5 < number < MAX_DN + 0.5 else []
@@ -437,5 +437,5 @@ def _text(text: str) -> tuple[int, int, bytes]:
     return _ASCII, len(text) + 1, text.encode() + b"\0"
 
 
-def _ascii(text: Any) -> str:
+def _ascii(text: object) -> str:
     return str(text).encode("ascii", "replace").decode("ascii")

@@ -405,7 +405,7 @@ def _provenance(metadata: Mapping[str, Any]) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _json(text: Any) -> Any:
+def _json(text: object) -> Any:
     try:
         return json.loads(text) if isinstance(text, str) else None
     except ValueError:

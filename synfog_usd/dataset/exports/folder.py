@@ -44,7 +44,7 @@ class ExportFolder:
         files.write_bytes(self.root / name, text.encode())
         return self.root / name
 
-    def json(self, name: str, value: Any) -> Path:
+    def json(self, name: str, value: object) -> Path:
         """Write JSON."""
         files.write_json(self.root / name, value)
         return self.root / name

@@ -226,7 +226,7 @@ def _link(path: Path, place: Path) -> str:
     return urllib.parse.quote(Path(os.path.relpath(path.resolve(), place)).as_posix())
 
 
-def _script(data: Any) -> str:
+def _script(data: object) -> str:
     """JSON that may stand in a script."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("</", "<\\/")

@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.world.language import Distribution
+
+if TYPE_CHECKING:
+    from synfog_usd.camera.graph import NodeGraph
 
 RECIPE_LIGHTINGS = ("sky", "active")
 """What every recipe's stage offers."""
@@ -97,7 +100,7 @@ class SetDefinition:
     offers: Mapping[Path, Offer] = field(default_factory=dict, repr=False, compare=False)
 
 
-def exposed(graph: Any, exposure: Mapping[str, float]) -> Any:
+def exposed(graph: NodeGraph, exposure: Mapping[str, float]) -> NodeGraph:
     """A graph as the exposure of a set has it.
 
     Raises:

@@ -108,7 +108,7 @@ def check(out: Path, made_of: Mapping[str, Any]) -> None:
         )
 
 
-def mismatch(there: Any, here: Any, what: str = "") -> Iterator[str]:
+def mismatch(there: object, here: object, what: str = "") -> Iterator[str]:
     """In which points two identities differ, in words."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in sorted({*there, *here}):
@@ -117,6 +117,6 @@ def mismatch(there: Any, here: Any, what: str = "") -> Iterator[str]:
         yield f"{what} (there {_short(there)}, here {_short(here)})"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = "nothing" if value is None else json.dumps(value)
     return text if len(text) <= 40 else f"{text[:12]}...{text[-4:]}"

@@ -107,7 +107,7 @@ class _SetReader:
         """The whole file."""
         items = self.extended(root, 0)
 
-        def of(section: str, reader: Callable[[Located], Any], otherwise: Any) -> Any:
+        def of(section: str, reader: Callable[[Located], Any], otherwise: object) -> Any:
             return reader(items[section]) if section in items else otherwise
 
         scenes = of("scenes", lambda item: whole(item, "scenes", 1, MOST_SCENES), None)

@@ -92,7 +92,7 @@ def _write(path: Path, pixels: np.ndarray) -> None:
     Image.fromarray(np.rint(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)).save(path)
 
 
-def _tell(path: Path, answer: Any) -> None:
+def _tell(path: Path, answer: object) -> None:
     path.write_text(json.dumps(answer, allow_nan=False), encoding="utf-8")
 
 

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -320,8 +320,6 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
     Raises:
         ParameterError: the folder holds no stage.
     """
-    from synfog_usd.lab.study import drawing, page
-
     stages = sorted(path for path in plan.stage.iterdir() if path.suffix in (".usd", ".usda", ".usdc", ".usdz"))
     if not stages:
         raise ParameterError(
@@ -336,16 +334,15 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
             progress(f"{name}: {what}", (index + fraction) / len(stages))
 
         charts[stage.stem] = chart(replace(plan, stage=stage, out=plan.out / stage.stem), progress=within, lenient=True)
-        write_suite(
-            {name: each.points for name, each in charts.items()}, plan.out, drawing, page
-        )  # after each, so that a stopped suite is of use
+        # after each, so that a stopped suite is of use
+        write_suite({name: each.points for name, each in charts.items()}, plan.out)
     return charts
 
 
-def write_suite(points: Mapping[str, Sequence[Point]], out: Path, drawing: Any = None, page: Any = None) -> None:
+def write_suite(points: Mapping[str, Sequence[Point]], out: Path) -> None:
     """The table, the drawing and the page over several charts."""
-    if drawing is None or page is None:
-        from synfog_usd.lab.study import drawing, page
+    from synfog_usd.lab.study import drawing, page
+
     rows = [row for name, line in points.items() for row in summary(name, line)]
     files.write_bytes(out / "summary.csv", table(rows).encode())
     for measure, name in ((ERROR, "suite"), (MOTTLE, "mottle")):

@@ -9,9 +9,13 @@ import io
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.lab.study.points import ERROR, MOTTLE, Point, front, lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INK, FAINT, GRID, PAPER = "#22262a", "#666b70", "#dcdfe2", "#ffffff"
 LOOKS = {
@@ -98,7 +102,7 @@ def _drawable(points: Sequence[Point], measure: str) -> dict[str, list[Point]]:
     return {name: line for name, line in by_line.items() if line}
 
 
-def _panel(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
+def _panel(axes: Axes, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
     """Draw seconds against a measure; gives the corners of the front."""
     by_line, names = _drawable(points, measure), list(lines(points))
     _scales(axes, [point for line in by_line.values() for point in line] or points, points[0], measure)
@@ -159,7 +163,7 @@ def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> t
         return _both(pyplot, figure)
 
 
-def _small_panel(axes: Any, stages: Mapping[str, Sequence[Point]], name: str, measure: str) -> None:
+def _small_panel(axes: Axes, stages: Mapping[str, Sequence[Point]], name: str, measure: str) -> None:
     """One stage of a suite."""
     everything, points = [point for each in stages.values() for point in each], stages[name]
     _scales(
@@ -264,7 +268,7 @@ def _dash(name: str, names: Iterable[str]) -> str:
 
 
 def _scales(
-    axes: Any, shown: Sequence[Point], first: Point, measure: str, *, lowest: float | None = None, dense: bool = True
+    axes: Axes, shown: Sequence[Point], first: Point, measure: str, *, lowest: float | None = None, dense: bool = True
 ) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -298,7 +302,7 @@ def _scales(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _front(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
+def _front(axes: Axes, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
     """Draw the steps from one point that nothing beats to the next; gives their corners."""
     least = points[0].reference_rms if measure == ERROR else 0.0
     shown = [point for point in points if point.amount(measure) > 0.0 and point.counts(measure)]
@@ -321,7 +325,7 @@ def _front(axes: Any, points: Sequence[Point], measure: str) -> list[tuple[float
     return corners
 
 
-def _marker(axes: Any, point: Point, measure: str, colour: str, marker: str, *, hollow: bool) -> None:
+def _marker(axes: Axes, point: Point, measure: str, colour: str, marker: str, *, hollow: bool) -> None:
     face, edge = (PAPER, colour) if hollow else (colour, PAPER)
     size = 7.5 if marker in "sD" else 8.5
     axes.plot(
@@ -338,7 +342,7 @@ def _marker(axes: Any, point: Point, measure: str, colour: str, marker: str, *, 
     )
 
 
-def _aside(axes: Any, by_line: Mapping[str, Sequence[Point]], first: Point) -> None:
+def _aside(axes: Axes, by_line: Mapping[str, Sequence[Point]], first: Point) -> None:
     """Noise and bias of each line at its most samples, on the error axis."""
     axes.set_xlim(-0.7, max(len(by_line) - 0.3, 1.7))
     axes.axhspan(axes.get_ylim()[0] / 100, first.reference_rms, color="#8a9096", alpha=0.22, lw=0, zorder=0)
@@ -364,7 +368,7 @@ def _aside(axes: Any, by_line: Mapping[str, Sequence[Point]], first: Point) -> N
     axes.set_title("At the most samples\n○ noise   ◆ bias   ↓ bias below", loc="left", fontsize=9.5)
 
 
-def _label(axes: Any, points: Sequence[Point], steps: Sequence[tuple[float, float]], measure: str) -> None:
+def _label(axes: Axes, points: Sequence[Point], steps: Sequence[tuple[float, float]], measure: str) -> None:
     """Names at the ends of lines, then words and numbers of samples where there is room for them."""
     labels = _Labels(axes, _drawable(points, measure), steps, measure)
     for name, line in sorted(labels.by_line.items(), key=lambda item: -item[1][-1].seconds):
@@ -385,7 +389,7 @@ class _Labels:
     """
 
     def __init__(
-        self, axes: Any, by_line: dict[str, list[Point]], steps: Sequence[tuple[float, float]], measure: str
+        self, axes: Axes, by_line: dict[str, list[Point]], steps: Sequence[tuple[float, float]], measure: str
     ) -> None:
         self.axes, self.by_line, self.measure = axes, by_line, measure
         self.renderer, self.unit = axes.figure.canvas.get_renderer(), axes.figure.dpi / 72.0  # pixels of a point
@@ -460,7 +464,7 @@ def _nearest(box: Sequence[float], place: Sequence[float]) -> tuple[float, float
     return min(max(place[0], box[0]), box[2]), min(max(place[1], box[1]), box[3])
 
 
-def _both(pyplot: Any, figure: Any) -> tuple[bytes, bytes]:
+def _both(pyplot: Any, figure: Figure) -> tuple[bytes, bytes]:
     result = []
     for kind, more in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": 150, "metadata": {"Software": None}})):
         data = io.BytesIO()

@@ -274,7 +274,7 @@ def read(text: str) -> list[Point]:
     ]  # type: ignore[operator]
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> object:
     if isinstance(value, bool):
         return int(value)
     return f"{value:.5g}" if isinstance(value, float) else "" if value is None else value
