@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from synfog_usd import camera
-from synfog_usd.base import files, resources
+from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, OutputError, ParameterError, did_you_mean
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import template, writers
@@ -69,11 +69,8 @@ def show(
     size: tuple[int, int] | None,
     changes: Sequence[str],
     mermaid: bool,
-    svg: Path | None,
 ) -> None:
-    """Print the graph, or write its drawing; with the milliseconds of each node where there is a picture to measure
-    on.
-    """
+    """Print the graph as a table or as Mermaid text; with each node's milliseconds where there is a picture."""
     graph = _changed(camera.load_graph(pipeline), changes)
     images = _inputs(sources, graph) or (_even(graph, size) if size else {})
     results = None
@@ -81,11 +78,7 @@ def show(
         exposure = camera.metered(graph, images)
         for _ in range(2):  # the first run sets up what later runs use again
             results = camera.develop(graph, images, seed=0, exposure=exposure, keep=[])
-    if svg is not None:
-        files.write_bytes(svg, drawing.svg(graph, results).encode())
-        print(svg)
-    else:
-        print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results, width=_columns()))
+    print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results, width=_columns()))
 
 
 def _columns() -> int:

@@ -464,7 +464,6 @@ def graph_check(pipeline: options.Graph) -> None:
 def graph_show(
     pipeline: options.Graph,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
-    svg: Annotated[Path | None, typer.Option("--svg", help="Write an SVG drawing to this file.")] = None,
     source: Annotated[
         list[str] | None,
         typer.Option("--in", help="Measure the milliseconds of each node on FILE.exr, or NAME=FILE.exr."),
@@ -477,7 +476,7 @@ def graph_show(
     """Show every node with its parameters and where each value comes from."""
     from synfog_usd.cli import graph as verb
 
-    verb.show(pipeline, source or [], size=numbers.size_of(resolution), changes=change or [], mermaid=mermaid, svg=svg)
+    verb.show(pipeline, source or [], size=numbers.size_of(resolution), changes=change or [], mermaid=mermaid)
 
 
 @dataclass(kw_only=True)
@@ -642,6 +641,7 @@ GONE = {
     },
     "preview": STAGE_WORDS,
     "check": STAGE_WORDS,
+    "graph": {"--svg": "--mermaid prints a drawing's text, which Markdown and mermaid.live show"},
     "contact": {"--model": "synfog-usd chart compares models"},
 }
 """Verb -> options that it had -> what to do instead."""
