@@ -35,7 +35,7 @@ from synfog_usd.base.progress import Progress, silent
 from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.exports import frames
 from synfog_usd.lab.benchmark import page, statistics
-from synfog_usd.lab.benchmark.bench import RESULTS, digest, kept
+from synfog_usd.lab.benchmark.bench import RESULTS, digest, read_results
 
 RAW = "raw."
 """Before a pipeline: its RAW."""
@@ -122,7 +122,7 @@ def study(
     recipes = {pair.foggy.source for pair in by_kind[kinds[0]]}
     groups = {raw: _groups(also, recipes, raw) for raw in {kind.startswith(RAW) for kind in kinds}} if also else {}
     told: dict[tuple[str, str], list[list[float]]] = {}
-    known = kept(out / RESULTS)
+    known = read_results(out / RESULTS)
     psnr = {(kind, test): np.full((seeds_count, len(views)), np.nan) for kind in kinds for test in _asked(kind, kinds)}
     done, total = 0, len(kinds) * folds * seeds_count
     for number in range(folds):

@@ -386,9 +386,9 @@ class _Reader:
         if key not in self.fields:
             self.missing.append(key)
             return None
-        return self.kept(self.fields[key], lambda: read(key))
+        return self.keeping_faults(self.fields[key], lambda: read(key))
 
-    def kept(self, item: Located, read: Callable[[], V]) -> V | None:
+    def keeping_faults(self, item: Located, read: Callable[[], V]) -> V | None:
         """What `read` makes of an item; None where it is wrong, which is kept."""
         try:
             return read()
@@ -564,7 +564,9 @@ class _Reader:
 
     def curves(self, items: Mapping[str, Located]) -> tuple[Curve, ...]:
         """Those that are right; what is wrong with each other one is kept."""
-        result = [self.kept(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()]  # type: ignore[misc]
+        result = [
+            self.keeping_faults(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()
+        ]  # type: ignore[misc]
         return tuple(curve for curve in result if curve is not None)
 
     def curve(self, where: str, item: Located) -> Curve:

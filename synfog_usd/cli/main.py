@@ -70,7 +70,7 @@ def bake(words: BakeWords) -> None:
     """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
     from synfog_usd.cli import bake as verb
 
-    asked_for = words.asked()
+    asked_for = words.as_words()
     verb.run(asked_for, quiet=words.quiet, as_json=asked_for.pop("as_json"))
 
 
@@ -109,7 +109,7 @@ def preview(words: PreviewWords) -> None:
     if words.terminal not in ("auto", *KINDS):
         raise ParameterError(f"--terminal {words.terminal}: takes auto, {', '.join(KINDS)}")
     asked_for = {
-        **words.asked(),
+        **words.as_words(),
         "out": words.out or Path("out") / "preview" / words.stage.stem,
         "bands": 3,
         "draft": True,

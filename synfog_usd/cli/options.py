@@ -160,7 +160,7 @@ class View:
     allow: Allow = None
     quiet: Quiet = False
 
-    def asked(self) -> dict[str, Any]:
+    def as_words(self) -> dict[str, Any]:
         """Values by option, as `plan_of` takes them; what only the command line knows is left out."""
         words = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         for name in ("gpu", "quiet"):

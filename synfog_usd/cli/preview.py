@@ -71,7 +71,9 @@ def _once(plan: BakePlan, how: terminal.Kind, quiet: bool) -> None:
         folder = plan.out / shot["folder"]
         for name in [name for name in shot["files"] if name.endswith(".png")][:1]:
             with Image.open(folder / name) as picture:
-                print(f"{shot['lighting']} / {shot['fog']}\n{terminal.drawn(picture, how, terminal.columns())}", end="")
+                print(
+                    f"{shot['lighting']} / {shot['fog']}\n{terminal.as_text(picture, how, terminal.columns())}", end=""
+                )
     if not quiet:
         print(
             f"{len(baked.manifest['shots'])} pictures in {time.monotonic() - began:.0f} s: {plan.out / 'contact.png'}",

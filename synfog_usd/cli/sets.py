@@ -17,7 +17,7 @@ from synfog_usd.dataset.sets import journal, offers
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.dataset.sets.run import Outcome, make_set
-from synfog_usd.dataset.sets.work import told
+from synfog_usd.dataset.sets.work import outcome_of
 
 if TYPE_CHECKING:
     from synfog_usd.dataset.sets.cost import Count
@@ -31,7 +31,7 @@ def plan(file: Path, *, as_json: bool) -> None:
     """Print what a set holds."""
     from synfog_usd.dataset.sets import cost
 
-    definition = offers.known(load_set(file), offers.asked)
+    definition = offers.with_offers(load_set(file), offers.ask_child)
     counted = cost.count(definition)
     if as_json:
         print(json.dumps(dataclasses.asdict(counted), indent=2))
@@ -147,12 +147,12 @@ def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, va
     from synfog_usd.dataset.sets.unit import make as make_unit
     from synfog_usd.render import backend
 
-    def made() -> tuple[dict[str, Any], bool]:
+    def make_one() -> tuple[dict[str, Any], bool]:
         definition = journal.kept_definition(out)
         identity.check(out, identity.identity(definition, backend.choose(variant).variant))  # type: ignore[arg-type]
         which = Unit(number, lighting, camera)
         return make_unit(definition, out, which, variant=variant, repair=repair, reading=worker.reading_limits)
 
-    result, code = told(made)
+    result, code = outcome_of(make_one)
     print(json.dumps(result))
     raise typer.Exit(code)

@@ -38,7 +38,7 @@ def kind(environment: Mapping[str, str] = os.environ, *, target: int = 1) -> Kin
     return "256" if "256color" in term else "none"
 
 
-def drawn(picture: Image.Image, how: Kind, columns: int) -> str:
+def as_text(picture: Image.Image, how: Kind, columns: int) -> str:
     """The picture as text that a terminal draws, with a line's end.
 
     Args:

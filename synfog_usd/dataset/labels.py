@@ -41,7 +41,7 @@ MOST_TOLD = 20_000
 """Instances of which files tell each, seen or not; 100 000 that no pixel meets would be minutes and 80 MB of JSON."""
 
 
-def told(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance, ...]:
+def shown_of(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance, ...]:
     """Those that files tell of: all, or those that the picture's rays meet where there are more than `MOST_TOLD`.
 
     Args:
@@ -101,7 +101,7 @@ def label_image(
         np.zeros(ids.shape),
     ]
     manifest = json.dumps(
-        {instance.path: f"{_crypto_bits(instance.path):08x}" for instance in told(instances, ids)},
+        {instance.path: f"{_crypto_bits(instance.path):08x}" for instance in shown_of(instances, ids)},
         separators=(",", ":"),
     )
     key = f"cryptomatte/{_murmur('crypto_object'):08x}"[: len("cryptomatte/") + 7]
@@ -124,7 +124,7 @@ def label_image(
 def label_list(
     aovs: Aovs, instances: tuple[Instance, ...], whole: Mapping[int, Mapping[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """What labels.json holds: every instance (see `told`), and where it is seen.
+    """What labels.json holds: every instance (see `shown_of`), and where it is seen.
 
     `box_px` is [x, y, width, height] of its visible pixels; `distance_m` is that of
     its nearest visible one.  `visible_share` is that of the pixels that it would have alone.
@@ -136,7 +136,7 @@ def label_list(
     """
     boxes = find_objects(aovs.instance_id)
     rows = []
-    for instance in told(instances, aovs.instance_id, list(whole or {})):
+    for instance in shown_of(instances, aovs.instance_id, list(whole or {})):
         kind = cityscapes.label(instance.label)
         row: dict[str, Any] = {
             "id": instance.id,
@@ -173,7 +173,7 @@ def instance_list(
         visibilities: label id -> what the fog leaves of an instance, see `visibility.rows`.
     """
     rows = []
-    for instance in told(scene.instances, list(visibilities or {})):
+    for instance in shown_of(scene.instances, list(visibilities or {})):
         through = clear.get(instance.id)
         rows.append(
             {

@@ -15,7 +15,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array, Indices, extent
 from synfog_usd.dataset import masks
-from synfog_usd.dataset.labels import told
+from synfog_usd.dataset.labels import shown_of
 from synfog_usd.scene import Camera, SceneDict, prototype_of
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -237,7 +237,7 @@ def rows(
     view: Projection,
     nearest: tuple[Indices, Indices] | None = None,
 ) -> dict[int, dict[str, Any]]:
-    """What is known of each instance (see `labels.told`) besides what can be seen of it, by label id.
+    """What is known of each instance (see `labels.shown_of`) besides what can be seen of it, by label id.
 
     Args:
         scene: what was looked at.
@@ -247,7 +247,7 @@ def rows(
     """
     ids, pixels = pierced
     shape = (scene.camera.height_px, scene.camera.width_px)
-    instances, visible = told(scene.instances, ids), {}
+    instances, visible = shown_of(scene.instances, ids), {}
     place = solids(scene, {shown.id for shown in instances})
     for instance in instances:
         first, last = np.searchsorted(ids, [instance.id, instance.id + 1])

@@ -67,15 +67,15 @@ class Scenes:
         if shot.lighting not in self.light:
             self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.light_scale)
         if fresh and plan.camera == first:
-            self.known[shot] = self.seen(entry.scene)
+            self.known[shot] = self.through_lens(entry.scene)
             return self.known[shot]
         scene = entry.within(self.stage, fog=shot.asked, camera=plan.camera)
         if scene is None:
-            return self.seen(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.asked))
-        self.known[shot] = self.seen(scene)
+            return self.through_lens(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.asked))
+        self.known[shot] = self.through_lens(scene)
         return self.known[shot]
 
-    def seen(self, scene: SceneDict) -> SceneDict:
+    def through_lens(self, scene: SceneDict) -> SceneDict:
         """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
         every pixel has to be found in the picture.
 

@@ -303,7 +303,7 @@ def everything(*, missing=()):
 
 
 def one(found, counts, metric, by="", group=""):
-    return found.one(counts, metric, by, group).value
+    return found.score(counts, metric, by, group).value
 
 
 def test_what_no_camera_can_see_is_no_miss_and_no_false_alarm(baked, tmp_path):
@@ -336,7 +336,7 @@ def test_what_no_camera_can_see_is_no_miss_and_no_false_alarm(baked, tmp_path):
     # of the persons' two in fog one is lost, and it is hidden: half of a class of two
     lost = [one(found, detect.ALL, "AR lost", "lost in fog", state) for state in ("", *detect.STATES)]
     assert lost == pytest.approx([0.25, 0.0, 0.0, 0.25])
-    assert found.one(detect.ALL, "AP").low is None  # one scene
+    assert found.score(detect.ALL, "AP").low is None  # one scene
 
 
 def test_the_command_scores_and_goes_on_and_gives_the_same_numbers(baked, tmp_path):

@@ -40,7 +40,7 @@ def test_what_is_no_terminal_gets_no_picture(tmp_path):
     """A pipe and a file are `none`, whatever the environment says."""
     with (tmp_path / "file").open("wb") as file:
         assert terminal.kind({"TERM": "xterm", "COLORTERM": "truecolor"}, target=file.fileno()) == "none"
-    assert terminal.drawn(PICTURE, "none", 80) == ""
+    assert terminal.as_text(PICTURE, "none", 80) == ""
 
 
 @pytest.fixture(scope="module")

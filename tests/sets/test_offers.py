@@ -108,7 +108,7 @@ def test_a_name_that_no_stage_has_is_refused_before_anything_is_made(tmp_path):
         ({"fogs": ["thik"]}, r"fogs has 'thik', .* authored, thick, and all take clear .* Did you mean 'thick'\?"),
     ):
         with pytest.raises(SetError, match=told):
-            offers.known(define_set(folder=tmp_path, scenes=2, stages=["*.usda"], **words))
+            offers.with_offers(define_set(folder=tmp_path, scenes=2, stages=["*.usda"], **words))
 
 
 def test_a_payload_of_the_root_may_hold_the_variants(tmp_path):

@@ -99,7 +99,7 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
         units, single = (np.median((np.abs(miss @ y) / noise)[inside]) for miss in (fitted - foggy, MULTIPLE))
         assert found.over_noise("fitted", "active", "depth", place).value == pytest.approx(units, rel=1e-3), place
         assert found.over_noise("single", "active", "depth", place).value == pytest.approx(single, rel=1e-3), place
-    assert found.left("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
+    assert found.rendering("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
 
 
 @pytest.mark.slow

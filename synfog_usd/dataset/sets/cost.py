@@ -38,13 +38,13 @@ class Cost:
     unknown_s: float = UNKNOWN_S
 
     @classmethod
-    def known(cls, definition: SetDefinition, tally: Tally) -> Cost:
+    def of_tally(cls, definition: SetDefinition, tally: Tally) -> Cost:
         """From what was made already."""
         width, height = definition.size or (1280, 720)
         unknown = UNKNOWN_S * max(1.0, len(definition.fogs) * width * height / UNKNOWN_PX)
         return cls({"": tally.seconds / tally.units} if tally.units else {}, unknown)
 
-    def seen(self, lighting: str, seconds: float) -> Cost:
+    def with_unit(self, lighting: str, seconds: float) -> Cost:
         """With one unit more."""
         return replace(self, seconds={**self.seconds, lighting: max(seconds, self.seconds.get(lighting, 0.0))})
 
@@ -76,7 +76,7 @@ def count(definition: SetDefinition) -> Count:
     """Count a set, scene by scene; memory does not grow with it."""
     from synfog_usd import camera
 
-    definition = offers.known(definition)
+    definition = offers.with_offers(definition)
     outputs = [camera.load_graph(path).outputs for path in definition.pipelines]
     a_view = len(OF_VIEW) + any(name.endswith(PICTURES) for name in outputs[0])
     a_shot = OF_SHOT + sum(map(len, outputs))

@@ -40,7 +40,7 @@ def of_stages(paths: Sequence[Path]) -> dict[Path, Offer]:
     return {path: of_stage(path) for path in paths}
 
 
-def asked(stages: Sequence[Path]) -> dict[Path, Offer]:
+def ask_child(stages: Sequence[Path]) -> dict[Path, Offer]:
     """`of_stages` in a child, since a stage may take its reader down.  That one offers nothing, and its bake tells."""
     offers: dict[Path, Offer] = {}
     while remaining := [path for path in stages if path not in offers]:
@@ -50,7 +50,7 @@ def asked(stages: Sequence[Path]) -> dict[Path, Offer]:
     return offers
 
 
-def known(
+def with_offers(
     definition: SetDefinition, read: Callable[[Sequence[Path]], Mapping[Path, Offer]] = of_stages
 ) -> SetDefinition:
     """The set with what all its stages offer.

@@ -166,7 +166,7 @@ def make_set(
         definition = define_set(**what)
     else:
         definition = load_set(path_of(what, "set"))
-    definition = offers.known(definition, offers.asked)
+    definition = offers.with_offers(definition, offers.ask_child)
     numbers = numbers_of(only, definition.scenes) if only is not None else None
     return run(definition, RunPlan(folder, only=numbers, **options), progress=progress, log=log)
 
@@ -194,7 +194,7 @@ def run(
     """
     from synfog_usd.render import backend
 
-    out, began, definition = plan.out, time.monotonic(), offers.known(definition)
+    out, began, definition = plan.out, time.monotonic(), offers.with_offers(definition)
     with journal.held(out):
         _sweep(out)
         variant = backend.choose(plan.variant).variant  # type: ignore[arg-type]
@@ -230,7 +230,7 @@ class _Maker:
     ) -> None:
         self.found, self.plan, self.variant, self.progress, self.log = definition, plan, variant, progress, log
         self.tally = journal.tally(plan.out)
-        self.cost = Cost.known(definition, self.tally)
+        self.cost = Cost.of_tally(definition, self.tally)
         self.outcome = Outcome()
         self.tries: dict[str, int] = {}
         self.ended: queue.SimpleQueue[tuple[Unit, Any]] = queue.SimpleQueue()
@@ -342,7 +342,7 @@ class _Maker:
             self.outcome.made += 1
             self.outcome.cpu_s += result["cpu_s"]
             self.used_bytes += result["bytes"]
-            self.cost = self.cost.seen(unit.lighting, result["seconds"])
+            self.cost = self.cost.with_unit(unit.lighting, result["seconds"])
             return None
         for place in (OutputError, identity.MismatchError):  # no fault of the unit: all others would fail too
             if result["kind"] == place.__name__:

@@ -150,7 +150,7 @@ def ending_children(workers: contextlib.AbstractContextManager[Any]) -> Iterator
         _closing = False
 
 
-def told(work: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
+def outcome_of(work: Callable[[], tuple[dict[str, Any], bool]]) -> tuple[dict[str, Any], int]:
     """In the child: what to print of a unit, and the exit code."""
     from synfog_usd.base.errors import OutputError, SynfogError
 

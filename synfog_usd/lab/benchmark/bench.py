@@ -173,7 +173,7 @@ class _Answers:
 
     def __init__(self, path: Path, order: Sequence[str], progress: Progress) -> None:
         self.path, self.order, self.progress = path, order, progress
-        self.rows, self.done = kept(path), 0
+        self.rows, self.done = read_results(path), 0
         _keep(path, self.rows)  # a folder that cannot be written is told before the first answer
         self._written_at = time.monotonic()
 
@@ -288,7 +288,7 @@ def digest(path: Path) -> str:
         return f"missing: {error.strerror}"
 
 
-def kept(path: Path) -> dict[str, Row]:
+def read_results(path: Path) -> dict[str, Row]:
     """What an earlier run left; {} where there was none.
 
     Raises:

@@ -299,7 +299,7 @@ class DetectionScores:
     rows: list[DetectionScore] = field(default_factory=list)
     pictures: int = 0
 
-    def one(self, counts: str, metric: str, by: str = "", group: str = "") -> DetectionScore | None:
+    def score(self, counts: str, metric: str, by: str = "", group: str = "") -> DetectionScore | None:
         """A number, or None."""
         key = (counts, by, group, metric)
         return next((row for row in self.rows if (row.counts, row.by, row.group, row.metric) == key), None)

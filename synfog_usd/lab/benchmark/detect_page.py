@@ -51,7 +51,7 @@ def write(bench: Bench, scored: Scored, ranks: Mapping[str, int], out: Path) -> 
 def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     """The tables, and what they rest on."""
     views: Sequence[FoggedView] = bench.items
-    names = sorted(ranks, key=lambda name: (ranks[name], -_value(scored[name].one(ALL, "AP"))))
+    names = sorted(ranks, key=lambda name: (ranks[name], -_value(scored[name].score(ALL, "AP"))))
     lines = [
         "# Detection bench",
         "",
@@ -68,8 +68,8 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     ]
     for name in names:
         for counts in (ALL, LEFT):
-            cells = " | ".join(_cell(scored[name].one(counts, metric)) for metric in METRICS)
-            count = getattr(scored[name].one(counts, "AP"), "things", 0)
+            cells = " | ".join(_cell(scored[name].score(counts, metric)) for metric in METRICS)
+            count = getattr(scored[name].score(counts, "AP"), "things", 0)
             answered = f"{scored[name].pictures} of {len(views)}"
             lines.append(f"| {ranks[name]} | {name} | {counts} | {cells} | {count} | {answered} |")
     for title, by, groups in (
@@ -78,7 +78,7 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
         ("AP by size, as COCO has it", "size", list(SIZES_PX)),
     ):
         rows = [
-            [name, counts, *(_cell(scored[name].one(counts, "AP", by, group)) for group in groups)]
+            [name, counts, *(_cell(scored[name].score(counts, "AP", by, group)) for group in groups)]
             for name in names
             for counts in (ALL, LEFT)
         ]
@@ -86,7 +86,7 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     lines += _gained(scored, names, fogs(views))
     lines += ["", "## AR by what fog leaves of a thing", ""]
     rows = [
-        [name, *(_counted(scored[name].one(ALL, "AR", "visibility", visibility)) for visibility in STATES)]
+        [name, *(_counted(scored[name].score(ALL, "AR", "visibility", visibility)) for visibility in STATES)]
         for name in names
     ]
     lines += _table(["detector", *STATES], rows)
@@ -109,7 +109,7 @@ def _gained(scored: Scored, names: Sequence[str], states: Sequence[str]) -> list
     """A table beside the first detector, where there are two."""
     by = {name: next((row.by for row in scored[name].rows if row.metric == "AP gained"), "") for name in names}
     rows = [
-        [name, counts, *(_cell(scored[name].one(counts, "AP gained", by[name], fog), "+") for fog in ("", *states))]
+        [name, counts, *(_cell(scored[name].score(counts, "AP gained", by[name], fog), "+") for fog in ("", *states))]
         for name in names
         for counts in (ALL, LEFT)
         if by[name]
@@ -122,8 +122,8 @@ def _gained(scored: Scored, names: Sequence[str], states: Sequence[str]) -> list
 
 
 def _lost(scores: DetectionScores, by: str) -> list[str]:
-    whole = scores.one(ALL, "AR lost", by)
-    parts = [scores.one(ALL, "AR lost", by, state) for state in STATES]
+    whole = scores.score(ALL, "AR lost", by)
+    parts = [scores.score(ALL, "AR lost", by, state) for state in STATES]
     if whole is None:
         return []
     invisible = _value(parts[-1])
@@ -172,7 +172,7 @@ def _latex(scored: Scored, ranks: Mapping[str, int]) -> str:
     chosen = [(counts, metric) for counts in (ALL, LEFT) for metric in ("AP", "AP50", "AR")]
     lines = []
     for name in sorted(scored, key=lambda name: ranks[name]):
-        values = [_value(scored[name].one(*key)) for key in chosen]
+        values = [_value(scored[name].score(*key)) for key in chosen]
         lines.append([page.escaped(name), *("--" if math.isnan(value) else f"{value:.3f}" for value in values)])
     head = ["Detector", *(metric if counts == ALL else f"{metric} left" for counts, metric in chosen)]
     return page.latex(head, lines)

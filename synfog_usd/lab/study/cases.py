@@ -148,14 +148,14 @@ def inside_three() -> Known:
     )
 
 
-def known(slab: EmptySlab) -> Known:
+def known_slab(slab: EmptySlab) -> Known:
     """The slab as a case has it."""
     return Known(slab.scene, slab.truth)
 
 
 def slab(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
     """An empty slab of fog that only scatters, 60 m high."""
-    return known(
+    return known_slab(
         empty_slab(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how)
     )
 
@@ -442,7 +442,7 @@ def _of_two_ways() -> list[Case]:
 
 def deep() -> Known:
     """60 m of 16.7 per metre that absorbs a hundredth."""
-    return known(
+    return known_slab(
         empty_slab(
             FogMedium(1000.0 / 60.0, albedo=0.99), 0.15, eye_m=59.5, zenith_deg=(0.0, 60.0), width_px=8, height_px=12
         )

@@ -136,7 +136,7 @@ class ScatteringStudy:
         ]
         return _geometric([(shot.over_noise[key] / shot.over_noise[key_beside], shot.scene) for shot in both])
 
-    def left(self, lighting: str, axis: str, place: int) -> Mean | None:
+    def rendering(self, lighting: str, axis: str, place: int) -> Mean | None:
         """The same of what rendering left."""
         return _geometric(
             [(shot.left[axis, place], shot.scene) for shot in self._of(lighting) if (axis, place) in shot.left]
@@ -402,7 +402,7 @@ def markdown(result: ScatteringStudy) -> str:
                     lines.append(f"| {model} | {' | '.join(cells)} | {crossing(result, model, lighting, axis)} |")
             cells = [_cell(result.ratio("srgb", "fitted", lighting, axis, p)) for p in places]
             lines.append(f"| srgb over fitted, shot by shot | {' | '.join(cells)} | |")
-            cells = [_cell(result.left(lighting, axis, p)) for p in places]
+            cells = [_cell(result.rendering(lighting, axis, p)) for p in places]
             lines.append(f"| error of the renders | {' | '.join(cells)} | |")
         fogs = list(dict.fromkeys(shot.fog for shot in result.shots if shot.lighting == lighting and shot.flip))
         if fogs:
@@ -459,7 +459,7 @@ def _drawn(result: ScatteringStudy) -> bytes:
                 for end in ((cell.low, cell.high) if cell else (None, None))
             ]
             axes.fill_between(places, ends[::2], ends[1::2], color=colours[model], alpha=0.15, linewidth=0)
-        rendering = [_value(result.left(lighting, "depth", p)) for p in places]
+        rendering = [_value(result.rendering(lighting, "depth", p)) for p in places]
         axes.plot(places, rendering, "--", color="#666b70", label="error of the renders")
         axes.axhline(1.0, color="#22262a", linewidth=0.8)
         axes.set_yscale("log")
