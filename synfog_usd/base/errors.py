@@ -34,7 +34,7 @@ class RecipeError(SynfogError):
 
 
 class SetError(SynfogError):
-    """A data set whose file does not load, or whose folder is not what it is taken for."""
+    """A data set whose file does not load, or whose folder is not that set's."""
 
 
 class ImageError(SynfogError):

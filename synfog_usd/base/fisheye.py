@@ -29,7 +29,7 @@ NEWTON = 8
 
 @dataclass(frozen=True)
 class Fisheye:
-    """A lens that is told by one polynomial, r = c1 t + c2 t^2 + ..., of the angle t to its axis.
+    """A lens given by one polynomial, r = c1 t + c2 t^2 + ..., of the angle t to its axis.
 
     Attributes:
         coefficients: c1, c2 ... of the angle in radians, to any common scale.  OpenCV's k1 to k4 are 1, 0, k1, 0, k2,

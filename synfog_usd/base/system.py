@@ -158,7 +158,7 @@ def _waits_for(parent: int) -> None:
 
 
 def _looks_for(parent: int) -> None:
-    """Until a process is no more this one's parent."""
+    """Until another process is this one's parent."""
     while os.getppid() == parent:
         time.sleep(LOOK_EVERY_S)
 

@@ -101,7 +101,7 @@ def load_text(text: str, *, name: str = "<text>", error: type[SynfogError] = Gra
 
 
 def _composed(text: str) -> yaml.Node | None:
-    """The nodes of a text, by libyaml where it is there, which is faster; errors are told in Python's words.
+    """The nodes of a text, by libyaml where it is there, which is faster; errors are worded as PyYAML words them.
 
     libyaml builds nodes by recursion in C, which deep nesting would end in a crash: so its events are counted first.
     """

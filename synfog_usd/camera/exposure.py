@@ -216,7 +216,7 @@ def adapted(
         before: exposure time [s] and ISO of the frame before.
         graph: that was metered.
         elapsed_s: between the two frames.
-        constant_s: tau; 0 follows at once.
+        constant_s: tau; 0 follows without delay.
     """
     sensor = graph.profiles.get("sensor")
     if constant_s <= 0.0 or not isinstance(sensor, SensorProfile):

@@ -26,7 +26,7 @@ FINE_PX, WIDENING = 0.5, 1.1
 """Discs of the layers: each is wider by the first, and from 5 pixels on by the second times."""
 
 SEEN = 0.03
-"""Part of a disc that must have been seen for what is behind nearer things to be told from it alone."""
+"""Part of a disc that must have been seen for what is behind nearer things to be estimated from it alone."""
 
 
 @OPS.op("optics.depth_of_field", takes=(Quantity.IRRADIANCE, Quantity.DATA), gives=Quantity.IRRADIANCE)

@@ -110,7 +110,7 @@ def black_level(
     """DN to a scale on which black is 0 and saturation is 1, times the digital gain.
 
     Black is the black level and the mean dark signal that nothing took off before.
-    What cannot be told from black becomes 0, so that unlit places are black and not a mist
+    What cannot be distinguished from black becomes 0, so that unlit places are black and not a mist
     of noise cut at 0: where the mean m of the 16 x 16 pixels around is within `coring`
     standard deviations s of black, and the pixel itself within `coring` of its own.  From
     2 coring s on, which is half a pixel's noise in the dark, nothing is changed.  Elsewhere noise below 0 is kept.

@@ -36,7 +36,7 @@ NOT_TOLD = "not in the file"
 """Source of a value that the file leaves out."""
 
 DRAWN = 0.02
-"""How far the focal length of a lens's drawing may be from the one that is told."""
+"""How far the focal length of a lens's drawing may be from the one that the file states."""
 
 SENSOR_WORDS = ("serial", "cfa", "qe")
 LENS_WORDS = ("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing")
@@ -125,7 +125,7 @@ class SensorProfile:
 
     Attributes:
         name: short name, as graphs use it.
-        title: what it is, for people.
+        title: a name for people.
         serial: which specimen; its fixed patterns are drawn from it, the same in every frame.
         cfa: colour filter pattern, one of `cfa.PATTERNS`.
         pixel_pitch_um: side of a pixel [um].
@@ -200,7 +200,7 @@ class LensProfile:
 
     Attributes:
         name: short name, as graphs use it.
-        title: what it is, for people.
+        title: a name for people.
         f_number: focal length / entrance pupil [1].
         focal_length_mm: focal length [mm]; written into the RAW file, the field of view is the scene's.
         transmission: part of the light that the glass lets through [1].
@@ -353,10 +353,10 @@ def _find(reference: str, folder: Path, kind: str) -> Path:
 
 
 class _Reader:
-    """Reads a profile key by key; what is missing or wrong is kept, and told at once by `profile`.
+    """Reads a profile key by key; what is missing or wrong is collected, and raised together by `profile`.
 
     Attributes:
-        sources: value -> where it is from, of those that were read.
+        sources: value that was read -> where it is from.
     """
 
     def __init__(self, path: Path, kind: str, words: tuple[str, ...], record: type) -> None:
@@ -451,7 +451,7 @@ class _Reader:
         item = fields.get("source")
         if item is None:
             raise ParameterError(f"{parent.place}: {where} has no source; write {{value: ..., source: ...}}")
-        if self.source_texts is None:  # which is told already
+        if self.source_texts is None:  # which is reported already
             return ""
         if item.value not in self.source_texts:
             names = ", ".join(self.source_texts)

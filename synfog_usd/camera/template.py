@@ -1,4 +1,4 @@
-"""A sensor or lens to be filled in: every key of a profile with what it means and may be, as YAML that loads at once.
+"""A sensor or lens to be filled in: every key of a profile with its meaning and range, as YAML that loads as it stands.
 
 What keys mean is what the records' own docstrings say of them.
 """

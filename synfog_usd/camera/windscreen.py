@@ -45,7 +45,7 @@ def windscreen(
         wedge_mrad: w, the angle between the faces [mrad], thicker at the top where > 0: the second image stands lower.
             An estimate; UN Regulation 43 allows for second images 15 arc minutes away.
         index: n of the glass [1].
-        wavelength_nm: where the transmittance is told, rising [nm].
+        wavelength_nm: where the transmittance is given, rising [nm].
         transmittance: of the pane across its surface, its faces' reflections included [1].  By default an estimate of
             green laminated glass; UN Regulation 43 asks for 0.70 and more of illuminant A.
         fov_x_deg: horizontal angle of view [degrees]; needed where the faces are not parallel.

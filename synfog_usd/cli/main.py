@@ -540,7 +540,7 @@ def graph_schema() -> None:
 
 @graph_app.command("profile")
 def graph_profile(kind: Annotated[str, typer.Argument(help="sensor or lens.")]) -> None:
-    """Print a sensor or lens to be filled in: every key with what it means and may be, as YAML that loads at once."""
+    """Print a sensor or lens to be filled in: every key with its meaning and range, as YAML that loads as it stands."""
     from synfog_usd.cli import graph as verb
 
     print(verb.profile_text(kind), end="")
@@ -651,7 +651,7 @@ def _in_new_words(arguments: list[str]) -> list[str]:
     """A command line with the options' new names; a line says so.
 
     Raises:
-        ParameterError: an option that is no more, with what to do instead.
+        ParameterError: an option that was removed, with what to do instead.
     """
     verb = arguments[0] if arguments else ""
     for word in arguments:

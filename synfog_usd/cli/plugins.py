@@ -21,7 +21,7 @@ def advice() -> str:
     """One paragraph for each program."""
     tools = resources.folder("integrations")
     return f"""\
-The schema SynFogMediumAPI is codeless: a program that is told of its folder shows the fog attributes with their
+The schema SynFogMediumAPI is codeless: a program that knows its folder shows the fog attributes with their
 defaults and documentation. Without it files keep their fog all the same.
 
 usdcat and other USD tools, and Omniverse (Kit), before they start:

@@ -24,7 +24,7 @@ LOOK_EVERY_S = 0.5
 """Between two looks at the files; a save is taken up once nothing has changed from one look to the next."""
 
 MOST_BESIDE = 10_000
-"""Files of the stage's folder that are looked through where the stage itself cannot tell what it is made of."""
+"""Files of the stage's folder that are looked through where the stage cannot list its own files."""
 
 State = dict[Path, tuple[int, int, int]]
 

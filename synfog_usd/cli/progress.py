@@ -46,7 +46,7 @@ def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[
 
 
 def _left(spent_s: float, fraction: float) -> str:
-    """Time that is left, as far as it can be told."""
+    """Estimate of the remaining time."""
     return f"about {spent_s / fraction - spent_s:.0f} s left" if TOLD <= fraction < 1.0 else ""
 
 

@@ -2,7 +2,7 @@
 
 A renderer's kernel cannot be interrupted from Python, and a malformed stage can
 take the USD library down with it.  The parent therefore only waits: on Ctrl-C it
-ends the child at once, and it turns a child's death by signal into a message.
+ends the child immediately, and it turns a child's death by signal into a message.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def follow_parent() -> None:
 
 
 def end_with(work: Callable[[], Any]) -> None:
-    """Do it and end this process by its exit code; the child at once, with nothing of what libraries have to tell or
+    """Do it and end this process by its exit code; the child immediately, without what libraries print or
     undo at the end: a third of a second, and, as was seen beside PyTorch, twenty lines about OpenImageIO's types.
     """
     code: Any = 0
@@ -65,7 +65,7 @@ class _UnprintedError(OSError):
 
 
 class _Printer:
-    """A stream whose failures can be told from those of other files."""
+    """A stream whose failures can be distinguished from those of other files."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -123,7 +123,7 @@ def printed() -> Iterator[None]:
 
 
 def _libraries_unheard() -> contextlib.AbstractContextManager[None]:
-    """`unheard` in the child.  What kills USD is told in five lines there, and by the parent in one."""
+    """`unheard` in the child.  USD prints five lines when it is killed; the parent prints one."""
     return unheard() if is_worker() else contextlib.nullcontext()
 
 
@@ -156,9 +156,7 @@ def reading_limits() -> Iterator[None]:
     """
     limits = system.limits(cpu_s=system.READ_CPU_S, wall_s=system.READ_WALL_S)
     with limits, _libraries_unheard(), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", RuntimeWarning
-        )  # numbers that overflow in numpy: what comes of them is told as notes
+        warnings.simplefilter("ignore", RuntimeWarning)  # numbers that overflow in numpy: their results become notes
         yield
 
 

@@ -86,7 +86,7 @@ def bake(
 
     Args:
         plan: what to make.
-        progress: told the fraction of all shots that is done.
+        progress: called with the fraction of all shots that is done.
         log: given one line for whatever a user wants to know on the way.
         reading: makes a context that is held whenever the stage is read or translated, as limits on time and memory.
         session: that this plan shares with those of other cameras; its own if left out.
@@ -186,7 +186,7 @@ class _Work:
         self._scenes, self._specimen = session.scenes(eye), session.specimen(eye)
         self._metered = is_metered(session.graph, plan)
         self._views: dict[str, _View] = {}  # by lighting
-        self._lit = set[str]()  # lightings of which it was told how light they are
+        self._lit = set[str]()  # lightings whose brightness was logged
         with reading():
             self._first = self._scenes.of(every[0])
         self._alone = self._first.camera.width_px * self._first.camera.height_px > ALONE_PX
@@ -402,7 +402,7 @@ class ShotMade:
     """A shot that is rendered.
 
     Attributes:
-        shot, scene, view, taken, rendered: what it is of, how it was exposed, what the sensor takes of it, and what
+        shot, scene, view, taken, rendered: its subject, its exposure, what the sensor takes of it, and what
             came of it.
         noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
         clear: label id -> transmittance of the fog before an instance.

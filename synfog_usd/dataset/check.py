@@ -36,7 +36,7 @@ MOST_LETTERS = 500
 """Of a path or a text that is printed; JSON has all of it."""
 
 MOST_OVERLAPS = 20
-"""Pairs of prims with coincident faces that are told."""
+"""Most pairs of prims with coincident faces that are listed."""
 
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
@@ -288,10 +288,10 @@ _LOST = re.compile(r"(?:^|.* )(?P<file>\S*/[^/]*|[^/ ]+) is (?:not there|missing
 
 
 def _by_folder(lines: Sequence[tuple[Line, str, str, str]]) -> list[tuple[Line, str]]:
-    """What is told of files that are not there once a folder, and how many more there are of it; all else as it is.
+    """Notes on missing files, one for each folder, and how many more there are of it; all else as it is.
 
     Args:
-        lines: each with its severity, its rule or whatever else is to be told apart, and its text.
+        lines: each with its severity, its rule or whatever else distinguishes it, and its text.
     """
     groups: dict[object, list[Line]] = {}
     for number, (line, severity, rule, text) in enumerate(lines):
@@ -312,7 +312,7 @@ _MORE = re.compile(r" \(and (\d+) more prims\)$")
 
 
 def _by_text(notes: Sequence[Note]) -> dict[tuple[str, str], tuple[list[str], int]]:
-    """(severity, text) -> the paths that are told, and how many there are; the translation lists some and counts the
+    """(severity, text) -> the paths that are listed, and how many there are; the translation lists some and counts the
     rest.
     """
     grouped: dict[tuple[str, str], tuple[list[str], int]] = {}

@@ -37,7 +37,7 @@ class ClipFrame:
     Attributes:
         number: of the frame, from 0 on.
         per_s: frames a second.
-        adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows at once.
+        adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows without delay.
         before: lighting -> (exposure time [s], ISO) of the frame before; empty for the first.
     """
 
@@ -172,7 +172,7 @@ class BakePlan:
 
 def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:
     """Seed of a shot's temporal noise; one for all fogs of a lighting where they are to have the same."""
-    from synfog_usd.base.seeds import seed32  # numpy, which a plan that is refused at once does without
+    from synfog_usd.base.seeds import seed32  # numpy, which a plan that is refused does without
 
     return seed32(seed, lighting, CLEAR if same_noise else fog)
 
@@ -212,7 +212,7 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
         ParameterError: a name that neither the stage nor the tool knows, several lightings in one folder, or more than
             `MOST_UNASKED` shots.
     """
-    from synfog_usd.fog import Fog  # numpy, which a plan that is refused at once does without
+    from synfog_usd.fog import Fog  # numpy, which a plan that is refused does without
 
     lights = _chosen("lighting", plan.lighting, variants.get("lighting", ()))
     if len(lights) > 1 and not plan.by_lighting:

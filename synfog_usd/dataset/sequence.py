@@ -45,7 +45,7 @@ def bake_sequence(
     Args:
         plan: of the frames; its `frame` is not used, and its `seed` gives each frame one.
         codes: time codes of the frames, at even steps.
-        adaptation_s: time constant of the automatic exposure [s]; 0 follows at once.
+        adaptation_s: time constant of the automatic exposure [s]; 0 follows without delay.
         progress, log, reading: as `bake` takes them.
 
     Returns:

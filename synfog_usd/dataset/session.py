@@ -40,7 +40,7 @@ class Session:
         plan: of all of them.
         graph: the node graph.
         stage: opened, as the plan reads it.
-        cameras: prim paths of those that are asked for; None for the stage's own choice.
+        cameras: prim paths of the requested ones; None for the stage's own choice.
         renderer: with the scene that was asked for last.
         frames: (lighting, camera) -> what was metered.
     """
@@ -221,7 +221,7 @@ class Renderer:
         return load(scene)
 
     def free(self) -> None:
-        """Let the scene go, before another is loaded: two at once take twice the memory, and make the renderer's tables
+        """Let the scene go, before another is loaded: two take twice the memory, and make the renderer's tables
         and kernels larger.
         """
         from synfog_usd.render import backend

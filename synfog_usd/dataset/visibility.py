@@ -25,7 +25,7 @@ WMO_CONTRAST = 0.05
 """Contrast that an observer needs to tell a thing.  Source: WMO-No. 8 (2018), volume I, chapter 9, 9.1.1."""
 
 ROSE = 5.0
-"""Signal over noise, over the whole thing, from which on it is told apart reliably.  Source: Rose (1948), The
+"""Signal over noise, over the whole thing, from which on it is recognised reliably.  Source: Rose (1948), The
 sensitivity performance of the human eye on an absolute scale, J. Opt. Soc. Am. 38, 196.
 """
 
@@ -136,7 +136,7 @@ def _judged(
     rms = float(np.sqrt((count * signal**2).sum() / count.sum()) / behind.mean())
     cnr = None
     if noise is not None:
-        sigma = np.maximum(noise(level), 1e-9 * behind.mean())  # the least that a ratio is told by
+        sigma = np.maximum(noise(level), 1e-9 * behind.mean())  # the least noise that a ratio is taken to
         cnr = float(np.sqrt((count * (signal / sigma) ** 2).sum()))
     return {
         "contrast": _digits(float((count * signal).sum() / count.sum() / behind.mean())),
@@ -147,7 +147,7 @@ def _judged(
 
 
 def judge(contrast: float, cnr: float | None) -> Visibility:
-    """Whether a thing of that contrast and that ratio of signal to noise can be told from what surrounds it.
+    """Whether a thing of that contrast and that ratio of signal to noise can be distinguished from what surrounds it.
 
     >>> judge(0.3, 40.0), judge(0.02, 40.0), judge(0.3, 0.5), judge(0.02, None)
     ('visible', 'faint', 'invisible', 'invisible')

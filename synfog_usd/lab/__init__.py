@@ -1,1 +1,1 @@
-"""Where the program is measured: what it is right about, what it costs, and what networks learn from it."""
+"""Where the program is measured: how exact it is, and what that costs."""

@@ -43,7 +43,7 @@ def composed(root: Located, folder: Path, faults: Faults) -> dict[str, Located]:
         root: tree of the graph's file.
         folder: of that file; files are read from here, from folders in it, and from
             the shipped pipelines, from nowhere else.
-        faults: told what is wrong.
+        faults: collects what is wrong.
 
     Raises:
         SynfogError: a part is missing, so that nothing can be said about the rest.
@@ -79,7 +79,7 @@ class _Composer:
             self.refuse_edits(sections)
             return sections
         base_sections = self.read(extends, file)
-        if base_sections is None:  # told already; what is missing without it is no fault of its own
+        if base_sections is None:  # reported already; what is missing without it is no fault of its own
             raise _UnreadableError
         base = self.graph(base_sections)
         if "nodes" not in base:
@@ -103,7 +103,7 @@ class _Composer:
         return dict(root.value)
 
     def read(self, item: Located, by: _File) -> _File | None:
-        """The file that `item` names in the file `by`; None, with a fault told, where it cannot be had."""
+        """The file that `item` names in the file `by`; None, with a fault added, where it cannot be read."""
         path = self.path_of(item, by)
         if path is None:
             return None

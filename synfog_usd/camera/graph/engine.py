@@ -262,7 +262,7 @@ class NodeGraph:
             keep: nodes whose images are returned; all unless given.
             cache: where results are looked up and kept; the images are the same
                 bytes with and without.
-            progress: told before each node.
+            progress: called before each node.
 
         Returns:
             Images by node name, and milliseconds.

@@ -1,4 +1,4 @@
-"""Everything that is wrong with a file, told at once."""
+"""Everything that is wrong with a file, reported together."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Faults:
     """Errors found so far, each with the place that it is about.
 
     Attributes:
-        file: the file that is read; its faults are told before those of files that it includes.
+        file: the file that is read; its faults are listed before those of files that it includes.
         error: kind of what is raised.
     """
 

@@ -1,7 +1,7 @@
 """From YAML, or the same words in Python, to a checked `NodeGraph`.
 
-Everything that is wrong is told at once, each fault with its place; what follows
-from a fault that is told already is not.
+Everything that is wrong is reported together, each fault with its place; what follows
+from a fault that is reported already is not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from synfog_usd.camera.graph.faults import Faults
 from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile, Registry
 
 UNSURE = ""
-"""Stands for a node of which a fault is told already."""
+"""Stands for a node with a fault that is reported already."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -146,7 +146,7 @@ class _Loader:
             self.faults.add(title.place, f"title is {title.plain()!r}; it takes a text")
 
     def section(self, key: str, kinds: type | tuple[type, ...], takes: str) -> Located | None:
-        """A part of the file that must be there and hold something; None, with a fault told, where it does not."""
+        """A part of the file that must be there and hold something; None, with a fault added, where it does not."""
         item = self.top.get(key)
         if item is None:
             if key not in self.unsure:
@@ -394,7 +394,7 @@ class _Loader:
             needed = draft.op.port(index) if draft.op else Port()
             if not needed.accepts(port):
                 self.faults.add(place, f"{draft} takes {needed}; {source!r} gives {port}. {self.advice(needed)}")
-                draft.wrong = True  # what follows from one node in the wrong place is not told
+                draft.wrong = True  # what follows from one node in the wrong place is not reported
         return draft.result(arriving)
 
     def advice(self, port: Port) -> str:
@@ -470,4 +470,4 @@ class _Loader:
 
 
 class _UnsureError(Exception):
-    """A value cannot be had for a reason that is told already."""
+    """A value cannot be had for a reason that is reported already."""

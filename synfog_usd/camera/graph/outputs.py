@@ -1,6 +1,6 @@
 """Which picture fits into which file: checked when a graph is loaded.
 
-The writers check again what they are given; this table is what a graph can know
+The writers check their options again; this table is what a graph can know
 before it runs.
 """
 

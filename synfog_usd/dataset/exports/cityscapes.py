@@ -106,7 +106,7 @@ def _polygons(ids: np.ndarray) -> dict[str, Any]:
         kind = BY_ID[outline.value // 1000 if counted else outline.value]
         points = outline.points.tolist()
         points += [points[-1]] * (3 - len(points))
-        label = kind.name if counted or not kind.has_instances else f"{kind.name}group"  # not told apart
+        label = kind.name if counted or not kind.has_instances else f"{kind.name}group"  # of several instances
         objects.append({"label": label, "polygon": points, **({"instance": outline.value % 1000} if counted else {})})
     return {"imgHeight": ids.shape[0], "imgWidth": ids.shape[1], "objects": objects}
 

@@ -112,7 +112,7 @@ class LabelledPicture(PictureKey):
         return plane[warp_of(rendered, tuple(labels.metadata["distortion_coefficients"]), fit, pinhole).nearest()]
 
     def metadata(self) -> dict[str, Any]:
-        """What it is of, for records beside it."""
+        """Its scene, fog and camera, for records beside it."""
         return {
             "name": self.name,
             "scene": self.scene,
@@ -239,7 +239,7 @@ def pictures(out: Path) -> Iterator[LabelledPicture]:
 
 
 def with_right(entries: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPicture, LabelledPicture | None]]:
-    """Pictures with those of their right eyes, which are not told by themselves; None where a picture has none.
+    """Pictures with those of their right eyes, which are not listed by themselves; None where a picture has none.
 
     Args:
         entries: pictures in the order of a set: those of a scene follow each other.

@@ -80,7 +80,7 @@ def export(
         chosen: things that get a box.
         licence: of the pictures, a URL or an SPDX name.
         url: where tar shards go, instead of the folder; of fsspec.
-        progress: told how far it is.
+        progress: called with the fraction that is done.
 
     Raises:
         SynfogError: no set, damaged labels, a folder that cannot be written; classes for a format without boxes.

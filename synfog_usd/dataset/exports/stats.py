@@ -121,7 +121,7 @@ class Figures:
 
 
 def gather(out: Path, *, progress: Progress = silent) -> Figures:
-    """Count a set, or a single bake; memory goes with what is told apart, not with the set.
+    """Count a set, or a single bake; memory grows with the categories, not with the set.
 
     Raises:
         SynfogError: no set, or damaged labels.

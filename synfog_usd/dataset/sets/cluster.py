@@ -122,7 +122,7 @@ def joined(address: str) -> Iterator[Workers]:
             "asyncio",
             "tornado",
             "distributed",
-        ):  # what they log of a lost scheduler is told by us
+        ):  # our own line reports a lost scheduler
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS):
         try:
@@ -202,7 +202,7 @@ def batch_cluster(path: Path) -> Iterator[tuple[Any, int]]:
 
 
 def _options(kind: Any) -> list[str]:
-    """What a cluster of dask-jobqueue and its jobs can be told, `processes` and `worker_extra_args` among it."""
+    """Options of a cluster of dask-jobqueue and its jobs, `processes` and `worker_extra_args` among it."""
     makers = [kind.__init__, *(maker.__init__ for maker in (*kind.__mro__, *kind.job_cls.__mro__))]
     names = {
         name

@@ -69,13 +69,13 @@ class SetDefinition:
         cameras: prim paths, '' for the stage's own.
         meter: see `BakePlan`; the cameras are one rig.
         pipelines: files of node graphs; radiance is rendered for the first.
-        asm_estimated: names of those that also develop the clear frame in a guessed fog, see `unit`.
+        asm_estimated: pipelines that also develop the clear frame in a guessed fog, see `unit`.
         same_noise: see `BakePlan`.
         size: (width, height) [px], or None for the stage's own.
         quality: options of `BakePlan`; exposure: likewise, of all its pipelines.
         folder: where relative paths in `words` start from.
         words: what makes the same set again, as `define_set` takes it.
-        offers: what stages offer, by file, of those that were read; others are read when their scene is planned.
+        offers: what each stage that was read offers, by file; others are read when their scene is planned.
     """
 
     name: str

@@ -31,7 +31,7 @@ class Tally:
         units, shots, bytes: that were made.
         seconds, cpu_s: that they took, added up.
         peak_mb: the most memory that one took.
-        aside: unit -> its last error, of those that failed too often.
+        aside: unit that failed too often -> its last error.
     """
 
     units: int = 0

@@ -5,7 +5,7 @@
     OUT/scenes/000/000017/sky/            one scene in one lighting: a folder as `bake` leaves it
         bake.json  labels.exr  labels.json  contact.png  mor600/radiance.exr ...
         mor600/<pipeline>/srgb.png    what further cameras made of the same radiance
-        unit.json                         what it is of, with the hash of every file; written last
+        unit.json                         its scene and lighting, with the hash of every file; written last
     OUT/.run/                             how the set was made: journal, lock, errors; no part of it
 
 With a camera of a rig the folder is called `sky-Left`.

@@ -47,7 +47,7 @@ class RunPlan:
         scheduler: address of a running one, or None.
         batch: file of a batch system, or None.
         only: numbers of scenes, or None for all.
-        budget_gb: size at which no more units are begun, or None.
+        budget_gb: size beyond which no unit is begun, or None.
         repair: whether finished units are looked at, and made again where a file was changed.
         retry: whether units that were set aside are taken up.
         limit_s: seconds a unit may take; from the cost that is known where None.
@@ -147,7 +147,7 @@ def make_set(
         progress: called with how far it is and the fraction that is done.
         log: called with lines that tell what goes on.
         options: workers (units at a time), scheduler (address of a Dask scheduler), batch (YAML of a batch system),
-            budget_gb (size at which no more is begun), repair (look at every file, make changed ones again), retry
+            budget_gb (size beyond which nothing is begun), repair (look at every file, make changed ones again), retry
             (take up what was set aside), limit_s (seconds of a unit), variant (of the renderer).
 
     Returns:
@@ -183,7 +183,7 @@ def run(
     Args:
         definition: the set.
         plan: how.
-        progress: told the fraction of what is to be made that is done.
+        progress: called with the fraction of the units that is done.
         log: given one line for whatever a user wants to know on the way.
 
     Raises:
@@ -211,7 +211,7 @@ def run(
             try:
                 maker.make()
             except BaseException:
-                with contextlib.suppress(OutputError):  # told is what ended the run, not what follows from it
+                with contextlib.suppress(OutputError):  # report what ended the run, not what follows from it
                     _write_index(out, definition, log)
                 raise
             _write_index(out, definition, log)

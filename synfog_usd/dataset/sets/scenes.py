@@ -1,6 +1,6 @@
 """What each scene of a set is: its split, source, seed, lightings and fogs, from the set and a number alone.
 
-Any scene can be told, and made, without the others, and a set that grows keeps those that it has.  Splits and sources
+Any scene can be planned, and made, without the others, and a growing set keeps those that it has.  Splits and sources
 are dealt out evenly: of the first N scenes each has its share, to one scene.
 """
 

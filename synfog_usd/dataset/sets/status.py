@@ -19,7 +19,7 @@ class Status:
         units, shots: that it is to have; made: units that are finished.
         bytes: that they take; left_s: processor seconds of what is left, None while nothing is known.
         running: whether a run holds the folder.
-        aside: unit -> error and seed of those that failed too often.
+        aside: unit that failed too often -> its error and seed.
     """
 
     name: str

@@ -48,7 +48,7 @@ def verify(out: Path, *, progress: Progress = silent) -> Iterator[Fault]:
 
     Args:
         out: its folder.
-        progress: told the fraction of units that were looked at.
+        progress: called with the fraction of units that were looked at.
 
     Raises:
         SetError: no set lies there.
@@ -89,7 +89,7 @@ def _made(out: Path, unit: Unit) -> dict[str, Any] | None:
     try:
         return record(out, unit)
     except SynfogError:
-        return None  # told with its files
+        return None  # reported with its files
 
 
 def _index(out: Path, part: int, expected: list[dict[str, Any]]) -> Iterator[Fault]:
@@ -114,7 +114,7 @@ def _of_unit(out: Path, unit: Unit) -> list[Fault]:
 def disagreements(folder: Path) -> Iterator[str]:
     """In which points labels and pictures of a unit do not fit each other, in words.
 
-    `labels.json` is counted again from `labels.exr`; pictures have the size that is told of them; radiance is finite,
+    `labels.json` is counted again from `labels.exr`; pictures have the size of their records; radiance is finite,
     and transmittance between 0 and 1.
     """
     try:

@@ -80,7 +80,7 @@ def do(job: Job, child: Child) -> dict[str, Any]:
     Returns:
         `ok`; where it is true what the child told (`made`, `bytes`, `peak_mb`, `cpu_s`), else `error` and `kind`, the
         class of the exception or 'killed', 'limit', 'crash'.  Either way `seconds`, and `own_cpu_s`, what the worker
-        itself took of the processor since it told last.
+        itself took of the processor since its last report.
     """
     global _told_cpu_s
     began = time.monotonic()

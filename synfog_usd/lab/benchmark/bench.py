@@ -25,7 +25,7 @@ RESULTS = "results.json"
 KEEP_EVERY_S = 5.0
 
 GIVE_UP = 3
-"""Failures in a row, from the first picture on, after which a method is asked no more."""
+"""Failures in a row, from the first picture on, after which a method is not asked again."""
 
 Row = dict[str, Any]
 """What is kept of one answer; {'error': line} where there is none."""
@@ -125,7 +125,7 @@ def run(
     """Ask methods about items; what `out` has already of the same pictures and methods is kept.
 
     Methods follow each other.  The items of one go side by side, as many as there are cores; of its children there are
-    as many as it may work on at once.
+    as many as it may work on in parallel.
 
     Args:
         items, methods: in order.
@@ -168,13 +168,13 @@ class _Answers:
     Args:
         path: the file; what an earlier run left in it is read.
         order: keys of this run, in which they are written.
-        progress: told each answer.
+        progress: called for each answer.
     """
 
     def __init__(self, path: Path, order: Sequence[str], progress: Progress) -> None:
         self.path, self.order, self.progress = path, order, progress
         self.rows, self.done = read_results(path), 0
-        _keep(path, self.rows)  # a folder that cannot be written is told before the first answer
+        _keep(path, self.rows)  # a folder that cannot be written is refused before the first answer
         self._written_at = time.monotonic()
 
     def lacks(self, key: str, retry: bool) -> bool:
@@ -209,7 +209,7 @@ def _ask(
     for batch in (first, {key: item for key, item in missing.items() if key not in first}):
         hopeless = batch is not first and bool(batch) and _hopeless(row, answers.rows)
         if hopeless:
-            log(f"{name}: failed on the first {GIVE_UP} pictures; it is asked no more")
+            log(f"{name}: failed on the first {GIVE_UP} pictures; it is not asked again")
         why = {"error": f"not asked: it failed on the first {GIVE_UP} pictures"}
         results = ((key, why) for key in batch) if hopeless else _side_by_side(pool, work, batch)
         for key, answer in results:

@@ -2,7 +2,7 @@
 
 The first line on standard input is the method as JSON; each further line names a picture and where the answer goes.
 Each is answered by a line of JSON: {"seconds": processor seconds} or {"error": one line}.  What measures answers is
-such a child too, and is told the truth as well.
+such a child too, and gets the truth as well.
 """
 
 from __future__ import annotations

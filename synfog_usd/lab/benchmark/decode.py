@@ -26,7 +26,7 @@ GREY = 114
 
 STRIDE_PX = 32
 MOST = 100
-"""Boxes of a class in a picture; COCO counts no more."""
+"""Boxes of a class in a picture; COCO counts at most as many."""
 
 CANDIDATES = 3000
 """Boxes of a class that are looked at, the best first."""

@@ -45,7 +45,7 @@ DRAWS = 400
 """Of scenes, for intervals of average precision; 400 tell their ends to some 5 % of their width."""
 
 FARTHEST_M = 1e6
-"""What is told of boxes that show sky alone."""
+"""Distance that stands for boxes of sky alone."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class DetectorRun:
 
     @property
     def at_once(self) -> int:
-        """Pictures that both may work on at once; 0 for as many as there are cores."""
+        """Pictures that both may work on in parallel; 0 for as many as there are cores."""
         steps = (self.detector,) if self.before is None else (self.detector, self.before)
         return min((step.at_once for step in steps if step.at_once), default=0)
 
@@ -270,7 +270,7 @@ class DetectionScore:
 
     Attributes:
         counts: `ALL` or `LEFT`.
-        by, group: what pictures or things are told apart by, and which of them; '' for all.
+        by, group: by what pictures or things are grouped, and which group; '' for all.
         metric: 'AP', 'AP50', 'AP75', 'AR', or 'AR lost', clear minus foggy.
         value: 0 to 1; nan where there is nothing.
         low, high: interval at 95 % over scenes; None where things are in fewer than three.
@@ -385,7 +385,7 @@ def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) ->
             add(counts, "distance", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
         if counts == ALL:
             _lost(answers, by_size.found.mean(axis=0), weights, small, add)
-    # what matches nothing belongs to no state: so recall alone is told
+    # what matches nothing belongs to no state: so only recall is given
     states = answers.matched(
         [(float(n), float(n)) for n in range(len(STATES))],
         lambda thing: float(STATES.index(thing.visibility)) if thing.visibility in STATES else -1.0,
@@ -437,7 +437,7 @@ def _lost(
 
 
 def ranks(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, int]:
-    """Rank of each detector: one more than the number of those that are better beyond chance.
+    """Rank of each detector: one more than the number of detectors that are better beyond chance.
 
     Two are compared by the average precision of all things on the pictures that both answered; one is better where the
     interval of the difference over scenes does not hold 0.
@@ -457,7 +457,7 @@ def ranks(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -
 def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
     """By how much each detector's average precision is above that of the first, by fog.
 
-    Both are told on the pictures that both answered, and their scenes are drawn together: so a difference can be known
+    Both are scored on pictures that both answered, and their scenes are drawn together: so a difference can be known
     better than either number.
 
     Args:

@@ -71,7 +71,7 @@ class Detector(Method):
         classes: which of its classes are measured, and what they cover.
         count: how many classes it has; 0 where only the numbers above are known.
         layout: what its outputs are, see `decode`.
-        size: width and height of what it is given [px], or ().
+        size: width and height of its input [px], or ().
         letterbox: whether the picture keeps its proportions in it.
         mean, std: of R, G and B, 0 to 1.
         order: 'rgb' or 'bgr'.
@@ -79,7 +79,7 @@ class Detector(Method):
         nms: of two boxes of a class whose intersection over union is larger, the better stays; YOLO's layouts alone.
         centred, relative: boxes of the layout 'boxes' are centre, width and height, not corners; are shares of the
             sides, not pixels.
-        outputs: names of the network's outputs by what they hold, where they cannot be told by their shapes.
+        outputs: names of the network's outputs by what they hold, where their shapes do not distinguish them.
     """
 
     suffix: ClassVar[str] = ".json"
@@ -151,7 +151,7 @@ def _numbers(node: Located, key: str, count: int, low: float, high: float) -> tu
 
 
 def _classes(node: Located) -> tuple[Classes, int]:
-    """What is covered, and how many classes there are; 0 where it is not told."""
+    """What is covered, and how many classes there are; 0 where it is not stated."""
     if isinstance(node.value, str):
         if node.value not in COCO:
             raise ParameterError(

@@ -50,7 +50,7 @@ class Method:
         takes: name of the file that it is given.
         timeout_s: for one picture [s].
         memory_gb: address space that each of its children may have [GB].
-        at_once: pictures that it may work on at once, each in a child of its own; 0 for as many as there are cores.
+        at_once: pictures that it may work on in parallel, each in a child of its own; 0 for as many as there are cores.
         version: hash of all that decides its answers, so that old results are not taken for new ones.
     """
 
@@ -136,7 +136,7 @@ def listed(path: Path, kind: str) -> list[Located]:
     """What stands under `kind`, 'methods' or 'detectors', of a file.
 
     Raises:
-        ParameterError: it is no file of methods, or has none of them.
+        ParameterError: it is no file of methods, or it names no method.
     """
     root = load_file(path, error=ParameterError)
     fields = mapping(root, "a file of methods", ("synfog", "methods", "detectors"))

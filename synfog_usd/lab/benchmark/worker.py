@@ -44,7 +44,7 @@ class MethodWorker:
 
         Args:
             picture: its file.
-            others: what else the child is told.
+            others: further words for the child.
 
         Raises:
             MethodError: it died, took too long, or answered nothing that can be used.

@@ -135,7 +135,7 @@ def combine(parts: Sequence[Array], samples: Sequence[int], model: str) -> Refer
 
 
 def compare(pictures: Sequence[Array], reference: Reference) -> Errors:
-    """Errors of one render, told from K >= 2 with seeds of their own.
+    """Errors of one render, estimated from K >= 2 with seeds of their own.
 
     Args:
         pictures: luminance (H, W) each.
@@ -172,7 +172,7 @@ def compare(pictures: Sequence[Array], reference: Reference) -> Errors:
 
 
 def mottle(pictures: Sequence[Array]) -> float:
-    """Clouds in one render, told from K >= 2 with seeds of their own: RMS over the pairs, relative.
+    """Clouds in one render, estimated from K >= 2 with seeds of their own: RMS over the pairs, relative.
 
     Args:
         pictures: luminance (H, W) each.

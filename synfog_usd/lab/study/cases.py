@@ -1,6 +1,6 @@
 """The worlds of `synfog-usd selftest`: each with its truth, its tolerance and the models that hold there.
 
-Truths are closed forms, discrete ordinates (`fog.slab.solve`), or the same world told
+Truths are closed forms, discrete ordinates (`fog.slab.solve`), or the same world described
 in another way.  Knows nothing of Mitsuba.
 """
 
@@ -37,7 +37,7 @@ FULL = ("path",)
 """Ours that leave nothing out; what they cannot do they refuse."""
 
 ONCE = ("single", "path")
-"""Where the fog scatters no light, or as good as never twice; and where one world is told in two ways, right or wrong.
+"""Where the fog scatters no light, or as good as never twice; and where one world is given in two ways, right or wrong.
 """
 
 
@@ -120,7 +120,7 @@ def exponential_wall() -> Known:
 
 
 def exponential_grid() -> Known:
-    """The same fog told as 512 densities."""
+    """The same fog as 512 densities."""
     source, medium = thinning_fog()
     heights = -2.0 + (np.arange(512) + 0.5) / 512 * 62.0
     values = (medium.sigma_t(heights) / medium.sigma_t_per_m).astype(np.float32).reshape(-1, 1, 1)
@@ -225,7 +225,7 @@ def spot() -> Known:
 
 
 def restaged(**how: Any) -> Known:
-    """The same street told in another unit, with another axis up, or far from the origin."""
+    """The same street in another unit, with another axis up, or far from the origin."""
     return Known(staged(**how), other=staged())
 
 

@@ -56,7 +56,7 @@ METER_SAMPLES = 32
 LIMIT_S = 90.0
 """Time limit where neither it nor the samples are given."""
 PROBE_SAMPLES = 16
-"""From which the cost of a reference is told, where its model is not in the sweep."""
+"""Samples of a probe that tells the cost of a reference, where its model is not in the sweep."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
 
     Args:
         plan: what to sweep; its stage is a file.
-        progress: told what is being rendered and about how much is done.
+        progress: called with what is being rendered and about how much is done.
         lenient: whether a model that was asked for and does not hold is left out with a note instead of an error.
 
     Raises:
@@ -199,7 +199,7 @@ class _Sweep:
         renders: the shot.
         lines: levels that are left to render; after `render` those that gave a picture.
         notes: what is left out, and why, is added.
-        progress: told what is being rendered and about how much is done.
+        progress: called with what is being rendered and about how much is done.
     """
 
     def __init__(
@@ -552,7 +552,7 @@ def _write(result: Chart, out: Path) -> None:
 
 
 def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
-    """The one shot, translated, and what it is called."""
+    """The one shot, translated, and its name."""
     from synfog_usd import stage as usd
     from synfog_usd.render.load import refusal
     from synfog_usd.translate import translate

@@ -24,7 +24,7 @@ TARGETS = ((ERROR, 0.01), (ERROR, 0.03), (ERROR, 0.10), (MOTTLE, 0.01))
 
 @dataclass(frozen=True)
 class Setting:
-    """What a model may be told beside its number of samples.
+    """What a model takes beside its number of samples.
 
     Attributes:
         scatterings: how often the fog may scatter a path; None is without end.

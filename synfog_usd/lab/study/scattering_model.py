@@ -1,7 +1,7 @@
 """Where the atmospheric scattering model fails: L = J t + A (1 - t) against transported light, over the shots of a set.
 
 J is the clear frame, t the transmittance of each pixel's ray, and A one colour for the whole picture.  The model leaves
-out lamps' glow, shadows in the fog and light that was scattered more than once.  The error is told in units of the
+out lamps' glow, shadows in the fog and light that was scattered more than once.  The error is given in units of the
 noise that the sensor has in that pixel (below 1 no camera sees it), and of the whole picture as FLIP.
 """
 
@@ -295,7 +295,7 @@ def _compare(pair: FogPair) -> ShotErrors:
 
 
 def _channels(folder: Path, names: list[str]) -> Array | None:
-    """Layers of a shot, or None where it has none of these names."""
+    """Layers of a shot, or None where it has no such layer."""
     try:
         return read_exr(folder / "layers.exr", channels=names).pixels.astype(np.float64)
     except ImageError:
