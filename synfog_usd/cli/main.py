@@ -41,7 +41,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 
 @dataclass(kw_only=True)
-class BakeWords(options.View):
+class BakeWords(options.ViewWords):
     """Options of `bake`."""
 
     frames: Annotated[
@@ -75,7 +75,7 @@ def bake(words: BakeWords) -> None:
 
 
 @dataclass(kw_only=True)
-class PreviewWords(options.View):
+class PreviewWords(options.ViewWords):
     """Options of `preview`."""
 
     out: Annotated[

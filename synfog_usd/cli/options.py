@@ -125,7 +125,7 @@ Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the find
 
 
 @dataclass(kw_only=True)
-class View:
+class ViewWords:
     """What `bake` and `preview` take: a stage, what is made of it and where, and how it is exposed."""
 
     stage: Stage

@@ -218,14 +218,14 @@ def test_a_picture_that_cannot_be_read_costs_its_own_pair_only(tmp_path, folder)
         assert sheet.width > 2 * 300
 
 
-def test_a_method_that_fails_on_the_first_pictures_is_asked_no_more(tmp_path, folder):
+def test_a_method_that_fails_on_the_first_pictures_is_not_asked_again(tmp_path, folder):
     count = tmp_path / "count"
     words = [sys.executable, "-c", f"open({str(count)!r}, 'a').write('x'); raise SystemExit(3)", "{in}", "{out}"]
     own = methods(tmp_path, f"- {{name: bad, command: {json.dumps(words)}}}\n")
     told = []
     bench = defog.run(find(folder), chosen([str(own)]), tmp_path / "out", log=told.append)
     assert len(count.read_text(encoding="utf-8")) == GIVE_UP
-    assert len(told) == GIVE_UP + 1 and "asked no more" in told[-1]  # one line for all that it is not asked
+    assert len(told) == GIVE_UP + 1 and "not asked again" in told[-1]  # one line for all that it is not asked
     assert sum("not asked" in why for why in bench.failures(bench.methods[0]).values()) == 3
 
 

@@ -46,6 +46,15 @@ EXAMPLES = (
 )
 """How names begin that a reader makes, or a bake."""
 
+STUDIES = {
+    f"--{argument.arg.replace('_', '-')}"
+    for path in (ROOT / "studies").glob("*.py")
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    if isinstance(node, ast.FunctionDef) and node.name == "main"
+    for argument in node.args.args
+}
+"""Options of the studies beside the package."""
+
 COMMAND = typer.main.get_command(app)
 everywhere = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 
@@ -119,7 +128,7 @@ def test_commands_can_be_typed(page):
     known = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "docs/reference/cli.md").read_text(encoding="utf-8")))
     builders = (ROOT / "assets/builders/__main__.py").read_text(encoding="utf-8")
     alone = {match[0] for span in spans(text) if (match := re.match(r"--[a-z][a-z-]+", span))}
-    assert {option for option in alone - known - OF_OTHERS if f'"{option}"' not in builders} == set()
+    assert {option for option in alone - known - OF_OTHERS - STUDIES if f'"{option}"' not in builders} == set()
 
 
 @everywhere

@@ -139,7 +139,7 @@ def run(
     """
     bench, lanes = Bench(items, methods), cores()
     keys = [[f"{method.version} {question.key(item, method)}" for item in items] for method in methods]
-    answers = _Answers(out / RESULTS, [key for row in keys for key in row], progress)
+    answers = _KeptAnswers(out / RESULTS, [key for row in keys for key in row], progress)
     with ThreadPoolExecutor(lanes) as pool, tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:
         try:
             for method, row in zip(methods, keys, strict=True):
@@ -162,7 +162,7 @@ def run(
     return bench
 
 
-class _Answers:
+class _KeptAnswers:
     """Answers by key, kept in a file while they come.
 
     Args:
@@ -201,7 +201,7 @@ def _ask(
     name: str,
     row: Sequence[str],
     missing: Mapping[str, T],
-    answers: _Answers,
+    answers: _KeptAnswers,
     log: Callable[[str], None],
 ) -> int:
     """Ask one method for the answers that are missing, its first pictures before the others; how many there were."""
