@@ -81,8 +81,9 @@ def distortion(
 
     A picture of the sensor's own size loses sharpness here: pixels that were averaged
     once are averaged again.  So a bake renders a wider and denser one (`to_render`), whose provenance says
-    which view is meant; four places of it are averaged for each pixel, so far apart that their spread and that of its
-    own pixels make that of a pixel of the sensor, however much the lens stretches there.
+    which view is meant; four places of it are averaged for each pixel.  Their distance adds to
+    the size of its own pixels, so that the sum is as wide as a pixel of the sensor, however much the lens stretches
+    there.
 
     The provenance gets `distortion_coefficients`, and `camera_matrix_px` (fx, cx; fy,
     cy) of the warped picture: what OpenCV takes.

@@ -134,10 +134,10 @@ def meter(
 ) -> Exposure:
     """Exposure for a clear frame, by running the graph's own lens and pixels on a small copy of it.
 
-    The geometric mean of the signal behind the green (or clear) filters, the brightest
-    5 % cut to their lower edge, goes to a key between `NIGHT_KEY` and `DAY_KEY` of
-    saturation, but the 95th percentile of the strongest filter stays at or below
-    `NIGHT_HIGHLIGHT` to `DAY_HIGHLIGHT`.  Time first, from the sensor's shortest to
+    The geometric mean of the signal behind the green (or clear) filters goes to a key between
+    `NIGHT_KEY` and `DAY_KEY` of saturation; the brightest 5 % are cut to their lower edge
+    before.  The 95th percentile of the strongest filter stays at or below `NIGHT_HIGHLIGHT` to
+    `DAY_HIGHLIGHT`.  Time first, from the sensor's shortest to
     its longest; then ISO.  What the graph gives as a number stays, and the other
     makes up for it.
 

@@ -35,9 +35,9 @@ Ppm = Annotated[float, Range(0.0, 1e5)]
 def crosstalk(image: Image, *, crosstalk_percent: Annotated[float, Range(0.0, 80.0)] = 2.0) -> Image:
     """Charge that wanders into the four next pixels, whatever their filter, before it is collected.
 
-    A pixel keeps 1 - c of its electrons and gets c / 4 of each neighbour's, so that its
-    contrast at f cycles a pixel along a row is 1 - c / 2 (1 - cos 2 pi f), and colours grow
-    paler.  At the edges of the picture the charge comes back: none is lost.
+    A pixel keeps 1 - c of its electrons and gets c / 4 of each neighbour's.  Its contrast at f
+    cycles a pixel along a row is then 1 - c / 2 (1 - cos 2 pi f), and colours grow paler.  At
+    the edges of the picture the charge comes back: none is lost.
 
     Args:
         image: mean electrons, right behind `sensor.expose`.
@@ -177,8 +177,8 @@ def nonlinearity(
 
 
 def _chosen(normal: FloatArray, ppm: float) -> tuple[np.ndarray, FloatArray]:
-    """Mask (H, W, 1) of the pixels above the quantile that leaves `ppm` of a million, and for each of them an
-    exponential number of mean 1, which follows from how far above it lies.
+    """Mask (H, W, 1) of the pixels above the quantile that leaves `ppm` of a million.  Each has an exponential
+    number of mean 1, which follows from how far above it lies.
     """
     from scipy.special import ndtr, ndtri  # a third of a second, for graphs that have such pixels only
 

@@ -1,8 +1,8 @@
 """Speed against accuracy: what a model's error costs in seconds, on one shot or on a folder of stages.
 
 Every model is run at several numbers of samples, and the model of a bake at each word of
-quality, three times with seeds of their own, and compared with a reference of many more
-samples, from other random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png`,
+quality, three times with different seeds.  The reference has many more samples, from other
+random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png`,
 `chart.html` and `notes.txt`, which says what does not hold.  Time is what this study
 measures, so its files differ from run to run; the pictures behind them do not.
 """
