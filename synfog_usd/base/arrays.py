@@ -32,14 +32,14 @@ def planar(shape: tuple[int, ...]) -> FloatArray:
     return np.moveaxis(np.empty((count, height, width), dtype=np.float32), 0, 2)
 
 
-def at_least(values: FloatArray, least: float, out: FloatArray | None = None) -> FloatArray:
+def at_least(values: FloatArray, least: float | np.float32, out: FloatArray | None = None) -> FloatArray:
     """`np.maximum` of values and one number in half its time: numpy has vector code for clipping, and for the larger of
     two arrays.
     """
     return np.clip(values, np.float32(least), np.float32(np.inf), out=out)
 
 
-def at_most(values: FloatArray, most: float, out: FloatArray | None = None) -> FloatArray:
+def at_most(values: FloatArray, most: float | np.float32, out: FloatArray | None = None) -> FloatArray:
     """`np.minimum` of values and one number, as `at_least`."""
     return np.clip(values, np.float32(-np.inf), np.float32(most), out=out)
 

@@ -51,7 +51,7 @@ def number(value: object, option: str) -> float:
     try:
         if isinstance(value, (str, bytes, bool)):
             raise TypeError
-        return float(value)
+        return float(value)  # type: ignore[arg-type]
     except TypeError:
         raise ParameterError(f"{option} {value!r}: not a number") from None
 
@@ -61,7 +61,7 @@ def count(value: object, option: str) -> int:
     try:
         if isinstance(value, bool):
             raise TypeError
-        return operator.index(value)
+        return operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         raise ParameterError(f"{option} {value!r}: not a whole number") from None
 

@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from synfog_usd.base import photometry
-from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.base.arrays import Array, FloatArray, Pixels
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import spectral_weights
@@ -263,8 +263,8 @@ class _Waves:
     y: Array
     falling: Array
     rising: Array
-    fx: Array
-    fy: Array
+    fx: Pixels
+    fy: Pixels
 
     @classmethod
     def of(cls, size: int, *, discrete: bool = False) -> _Waves:
@@ -280,7 +280,8 @@ class _Waves:
 
         What both axes share goes along a diagonal, and a shift between two pixels takes its own variance off.
         """
-        shift, factors = 1.0 + 0.0j, []
+        shift: Any = 1.0 + 0.0j
+        factors = []
         for way, frequency in ((right, self.fx), (down, self.fy)):
             whole = math.floor(way)
             part = way - whole

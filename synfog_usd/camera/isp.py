@@ -452,14 +452,14 @@ def _edges_kept(stops: FloatArray, radius_px: int, edge_ev: float) -> FloatArray
     """A smooth copy that keeps edges of more than `edge_ev`: the guided filter with the picture as its own guide."""
     from scipy.ndimage import uniform_filter
 
-    def mean(values: FloatArray) -> FloatArray:
+    def mean(values: Array) -> Array:
         return np.asarray(uniform_filter(values, 2 * radius_px + 1, mode="nearest"))
 
     picture = stops.astype(np.float64)
     middle = mean(picture)
     spread = np.maximum(mean(picture * picture) - middle * middle, 0.0)
     slope = spread / (spread + edge_ev**2)
-    return np.asarray(mean(slope) * picture + mean((1.0 - slope) * middle))
+    return mean(slope) * picture + mean((1.0 - slope) * middle)  # type: ignore[return-value]
 
 
 @OPS.op("isp.gamma", takes=PICTURE, gives=DISPLAY)

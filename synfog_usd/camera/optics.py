@@ -273,7 +273,7 @@ def _tan2_of_axes(
     focal_px = width / 2 / math.tan(math.radians(fov_x_deg) / 2)
     x = (np.arange(width) + 0.5 - width / 2 - shift_x * width) / focal_px
     y = (np.arange(height) + 0.5 - height / 2 + shift_y * height) / focal_px
-    return x**2, y**2
+    return np.square(x, dtype=np.float64), np.square(y, dtype=np.float64)
 
 
 def _foote(tan2_field: npt.NDArray[np.float64], cone: float) -> npt.NDArray[np.float64]:

@@ -8,6 +8,7 @@ with its place.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -564,9 +565,7 @@ class _Reader:
 
     def curves(self, items: Mapping[str, Located]) -> tuple[Curve, ...]:
         """Those that are right; what is wrong with each other one is kept."""
-        result = [
-            self.keeping_faults(item, lambda key=key, item=item: self.curve(key, item)) for key, item in items.items()
-        ]  # type: ignore[misc]
+        result = [self.keeping_faults(item, functools.partial(self.curve, key, item)) for key, item in items.items()]
         return tuple(curve for curve in result if curve is not None)
 
     def curve(self, where: str, item: Located) -> Curve:

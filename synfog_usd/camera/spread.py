@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.base.arrays import Array, FloatArray, at_least, at_most, planar, strips
+from synfog_usd.base.arrays import Array, FloatArray, Pixels, at_least, at_most, planar, strips
 
 THREADS = 2
 
@@ -181,7 +181,7 @@ def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
     grid = np.arange(FINE + 1, dtype=np.float32) * step
     tables = [blur.transfer(grid).astype(np.float32) for blur in blurs]
 
-    def factors(frequency: FloatArray) -> Iterator[Array]:
+    def factors(frequency: FloatArray) -> Iterator[Pixels]:
         nearest = (frequency * (1 / step) + np.float32(0.5)).astype(np.intp)
         return (table.take(nearest, mode="clip") for table in tables)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from synfog_usd.base import photometry
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.graph import Auto, Range
@@ -126,7 +126,7 @@ def _shares(
     return first, spectra @ (straight * (reflected * inside) ** 2) / total / np.maximum(first, 1e-30)
 
 
-def _lowered(pixels: Array, apart_rad: float, fov_x_deg: float, shift_y: float) -> Array:
+def _lowered(pixels: FloatArray, apart_rad: float, fov_x_deg: float, shift_y: float) -> FloatArray:
     """A picture turned downwards by an angle; straight lines between rows, the border's row beyond them."""
     height, width = pixels.shape[:2]
     focal_px = width / 2.0 / math.tan(math.radians(fov_x_deg) / 2.0)

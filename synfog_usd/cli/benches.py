@@ -19,7 +19,7 @@ from synfog_usd.lab.benchmark import defog as bench_of
 from synfog_usd.lab.benchmark import detect as detection
 from synfog_usd.lab.benchmark import detect_page, detectors, metrics, page
 from synfog_usd.lab.benchmark.bench import Bench
-from synfog_usd.lab.benchmark.bench import picture as picture_of
+from synfog_usd.lab.benchmark.child import picture as picture_of
 from synfog_usd.lab.benchmark.methods import chosen
 from synfog_usd.lab.benchmark.pairs import find, truth_of
 
@@ -79,12 +79,12 @@ def detect(words: DetectWords) -> None:
     scored = {name: scored[name] for name in ranks}
     detect_page.write(bench, scored, ranks, words.out)
     if words.as_json:
-        rows = [
+        table = [
             {"detector": name, "rank": ranks[name], **dataclasses.asdict(row), "value": _number(row.value)}
             for name, scores in scored.items()
             for row in scores.rows
         ]
-        print(json.dumps(rows, indent=2))
+        print(json.dumps(table, indent=2))
     elif not words.quiet:
         print(detect_page.markdown(bench, scored, ranks))
         print(f"{words.out / 'pictures.png'} shows boxes")

@@ -142,7 +142,7 @@ def check(
     worker.follow_parent()
     from synfog_usd.dataset import check as verb
 
-    read = dict(allow=allow or [], choices=choices or [])
+    read: dict[str, Any] = {"allow": allow or [], "choices": choices or []}
     with worker.reading_limits():
         fixes = None
         if fix is not None:
@@ -334,7 +334,7 @@ def contact(words: ContactWords) -> None:
     from synfog_usd.dataset import sheet
 
     size = numbers.size_of(words.resolution)
-    assert size is not None
+    assert size is not None and words.samples is not None
     plan = sheet.SheetPlan(
         recipes=sheet.recipes_of(words.recipe),
         seeds=sheet.seeds_of(words.seeds),

@@ -48,7 +48,7 @@ def spread(verb: Callable[[Options], None]) -> Callable[..., None]:
         parameters.append(
             inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
         )
-    del with_words.__wrapped__  # type: ignore[attr-defined]
+    del with_words.__wrapped__
     with_words.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     with_words.__annotations__ = hints
     return with_words

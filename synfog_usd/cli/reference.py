@@ -7,15 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from synfog_usd.cli.main import app
-
-if TYPE_CHECKING:
-    from click import Command
-    from typer.core import TyperArgument, TyperOption
 
 HEAD = """\
 # Command line
@@ -37,7 +33,7 @@ def page() -> str:
     return "\n".join([HEAD, *contents, "", *sections])
 
 
-def _commands(command: Command, name: str) -> Iterator[tuple[str, Any]]:
+def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
     """(name as typed, command) of all commands below a group."""
     for key, inner in getattr(command, "commands", {}).items():
         if hasattr(inner, "commands"):
@@ -46,11 +42,11 @@ def _commands(command: Command, name: str) -> Iterator[tuple[str, Any]]:
             yield f"{name} {key}", inner
 
 
-def _summary(command: Command) -> str:
+def _summary(command: Any) -> str:
     return " ".join((command.help or "").split("\n\n")[0].split())
 
 
-def _section(name: str, command: Command) -> list[str]:
+def _section(name: str, command: Any) -> list[str]:
     arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
     options = [
         parameter for parameter in command.params if parameter.param_type_name == "option" and parameter.name != "help"
@@ -62,21 +58,21 @@ def _section(name: str, command: Command) -> list[str]:
     return lines
 
 
-def _placeholder(argument: TyperArgument) -> str:
+def _placeholder(argument: Any) -> str:
     word = argument.name.upper()
     return word if argument.required else f"[{word}]"
 
 
-def _argument(argument: TyperArgument) -> str:
+def _argument(argument: Any) -> str:
     return f"| `{_placeholder(argument)}` | {'needed' if argument.required else ''} | {_cell(argument.help)} |"
 
 
-def _option(option: TyperOption) -> str:
+def _option(option: Any) -> str:
     names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
     return f"| {names} | {_default(option)} | {_cell(option.help)} |"
 
 
-def _default(option: TyperOption) -> str:
+def _default(option: Any) -> str:
     if option.required:
         return "needed"
     if option.default is None or option.default == () or callable(option.default):

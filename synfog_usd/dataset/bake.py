@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
-    from synfog_usd.render.shot import Rendered, Settings
+    from synfog_usd.render.picture import Rendered
+    from synfog_usd.render.shot import Settings
     from synfog_usd.scene import SceneDict
     from synfog_usd.scene.transmittance import PartBoxes
 
@@ -479,7 +480,7 @@ def sample_shot(
     density = _density(scene, pinhole)
     floor = _shared(view.noise, density) if view and view.noise else None
     looked_at = view if view and view.world is scene.world else None
-    through = transmittance.of_instances(scene, looked_at and looked_at.parts)
+    through = transmittance.of_instances(scene, looked_at.parts if looked_at else None)
     loaded = renderer.loaded_for(scene, plan.model)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
     settings = _settings(plan, floor, density, seed32(plan.seed, shot.lighting, shot.fog))
@@ -523,6 +524,7 @@ def _settings(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings
 
+    assert plan.samples is not None  # a plan that was made is whole
     quality, by_quality = plan.promise, plan.target_error is None
     error = quality.error if by_quality else plan.target_error
     return Settings(
@@ -571,7 +573,7 @@ def _finish(result: ShotMade, graph: NodeGraph, plan: BakePlan, specimen: str | 
     from synfog_usd.camera import writers
 
     shot, rendered, folder = result.shot, result.rendered, plan.out / result.shot.folder
-    marks = {
+    marks: dict[str, str | int | float] = {
         "synfog:lighting": shot.lighting,
         "synfog:fog": shot.fog,
         "synfog:mor_m": result.mor_m or 0.0,

@@ -29,8 +29,9 @@ from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, noise_seed, sho
 from synfog_usd.dataset.session import Session, begin, one_camera
 
 if TYPE_CHECKING:
+    from synfog_usd.base.notes import Note
     from synfog_usd.dataset.asked import FogLike
-    from synfog_usd.scene import Instance, Note, SceneDict
+    from synfog_usd.scene import Instance, SceneDict
 
 OF_SCENE = (
     *("frame", "lights", "light_scale", "sun_lux", "choose", "meters_per_unit", "up", "shutter", "max_distance"),

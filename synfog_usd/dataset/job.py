@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ def job_of(
     out: object = None,
     *,
     camera: object = None,
-    frames: object = None,
+    frames: str | Iterable[float] | None = None,
     adaptation: object = None,
     **asked: Any,
 ) -> BakeJob:
@@ -149,7 +149,7 @@ def bake(
     """
     from synfog_usd import stage as usd
 
-    named = {"lighting": lighting, "fog": fog, "camera": camera, "pipeline": pipeline}
+    named: dict[str, Any] = {"lighting": lighting, "fog": fog, "camera": camera, "pipeline": pipeline}
     job = job_of(stage, out, **named, quality=quality, seed=seed, **options)
     usd.reread()
     return run(job, progress=progress, log=LOG.info, reading=reading_here)

@@ -113,7 +113,7 @@ def label_image(
         f"{key}/conversion": "uint32_to_float32",
         f"{key}/manifest": manifest,
     }
-    channels = CHANNELS
+    channels: tuple[str, ...] = CHANNELS
     if lane is not None:
         planes, channels = [*planes, lane], (*channels, "lane.ID")
     if disparity is not None:
@@ -152,7 +152,7 @@ def label_list(
             row["pixels"] = int(mask.sum())
             row["box_px"] = [window[1].start, window[0].start, mask.shape[1], mask.shape[0]]
             row["distance_m"] = round(float(aovs.distance_m[window][mask].min()), 3)
-        more = (whole or {}).get(instance.id, {})
+        more = dict((whole or {}).get(instance.id, {}))
         if more.get("amodal_pixels"):
             row["visible_share"] = round(min(1.0, row["pixels"] / more["amodal_pixels"]), 4)
         rows.append(row | more)

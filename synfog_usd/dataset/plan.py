@@ -151,6 +151,7 @@ class BakePlan:
         numbers.check_quality(self.quality)
         if self.samples is None:  # the plan is frozen, and is whole from here on
             object.__setattr__(self, "samples", self.promise.samples)
+        assert self.samples is not None
         numbers.check_samples(self.samples)
         numbers.check_target(self.target_error)
         numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)

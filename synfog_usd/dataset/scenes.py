@@ -57,7 +57,7 @@ class Scenes:
         first = plan.rig[0] if plan.rig else plan.camera
         choices: dict[str, Any] = {"camera": first, "frame": plan.frame, "resolution": plan.size}
         choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
-        choices["refusal"] = functools.partial(refusal, variant=plan.variant)
+        choices["refusal"] = functools.partial(refusal, variant=plan.variant)  # type: ignore[arg-type]
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(
@@ -90,7 +90,7 @@ class Scenes:
 
         def wider(eye: Camera) -> Camera:
             plane = self.graph is not None and not eye.width_m > 0.0
-            rendered = distortion.to_render(self.graph, pinhole_of(eye)) if plane else None
+            rendered = distortion.to_render(self.graph, pinhole_of(eye)) if self.graph and plane else None
             return eye if rendered is None else replace(eye, **size_of(rendered))
 
         eye = wider(scene.camera)
@@ -119,7 +119,10 @@ def _guessed(graph: NodeGraph | None) -> list[Note]:
     from synfog_usd.base.notes import Note
     from synfog_usd.camera.profiles import guessed
 
-    guesses = {kind: guessed(profile) for kind, profile in (graph.profiles.items() if graph is not None else ())}
+    guesses = {
+        kind: guessed(profile)  # type: ignore[arg-type]
+        for kind, profile in (graph.profiles.items() if graph is not None else ())
+    }
     return [Note("info", "", f"{kind} {text}") for kind, text in guesses.items() if text]
 
 

@@ -81,9 +81,9 @@ def _same_lens(camera: Camera, reference: Camera) -> bool:
         and (camera.width_px, camera.height_px) == (reference.width_px, reference.height_px)
     ):
         return False
-    numbers = [[eye.fov_x_deg, *eye.shift] for eye in (camera, reference)]
+    mine, theirs = ([eye.fov_x_deg, *eye.shift] for eye in (camera, reference))
     turned = float(np.abs(camera.to_world[:3, :3] - reference.to_world[:3, :3]).max())
-    return np.allclose(*numbers, rtol=1e-6, atol=1e-6) and turned <= TURNED_PX * camera.pixel_rad
+    return np.allclose(mine, theirs, rtol=1e-6, atol=1e-6) and turned <= TURNED_PX * camera.pixel_rad
 
 
 def planes(aov: Aovs, pair: RightEye, loaded: MitsubaScene) -> npt.NDArray[np.float32]:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array, Flags, Indices
+from synfog_usd.base.arrays import Array, Flags, Indices, Pixels
 
 WMO_CONTRAST = 0.05
 """Contrast that an observer needs to tell a thing.  Source: WMO-No. 8 (2018), volume I, chapter 9, 9.1.1."""
@@ -52,9 +52,9 @@ def thresholds() -> dict[str, Any]:
 
 def rows(
     ids: Indices,
-    transmittance: Array,
-    luminance: Array,
-    surface: Array | None = None,
+    transmittance: Pixels,
+    luminance: Pixels,
+    surface: Pixels | None = None,
     noise: Callable[[Array], Array] | None = None,
 ) -> dict[int, dict[str, Any]]:
     """What is left of each instance that has pixels, by label id.

@@ -45,7 +45,7 @@ class Bound:
             'sensor.read_noise_e'.
     """
 
-    value: object
+    value: Any
     source: str
 
     @property

@@ -129,7 +129,8 @@ def write_dng(
     ):
         raise ImageError(f"{path}: the pixels are not whole numbers from 0 to {white}")
     raw = numbers.astype(np.uint16)
-    opcodes = opcode_list(*raw.shape, metadata) if corrections else b""
+    height, width = raw.shape
+    opcodes = opcode_list(height, width, metadata) if corrections else b""
     write_whole(path, lambda temporary: _write(temporary, raw, metadata, opcodes, lossless=compression == "lossless"))
 
 
@@ -385,7 +386,7 @@ def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photomet
         assert not changes, "a tag that is to be changed is not in the file"
 
 
-def _number(value: float) -> float:
+def _number(value: Any) -> float:
     """A number as float; NaN where it is none."""
     try:
         return float(value)
@@ -406,13 +407,13 @@ def _fractions(code: int, kind: int, values: Sequence[Any], denominator: int) ->
     return [(code, kind, len(values), tuple(number for value in scaled for number in (round(value), denominator)))]
 
 
-def _signed_fraction(code: int, value: float) -> list[tuple[int, int, int, bytes]]:
+def _signed_fraction(code: int, value: float | None) -> list[tuple[int, int, int, bytes]]:
     """An Exif entry of a signed number in thousandths; none where 32 bits cannot hold it."""
     scaled = _number(value) * 1000.0
     return [(code, _SRATIONAL, 1, struct.pack("<ii", round(scaled), 1000))] if abs(scaled) < 2**31 - 1 else []
 
 
-def _fraction(code: int, value: float) -> list[tuple[int, int, int, bytes]]:
+def _fraction(code: int, value: float | None) -> list[tuple[int, int, int, bytes]]:
     """An Exif entry of the fraction of 32 bits that is nearest; none where they cannot hold it.
 
     Short times come as 1/n where they are that.

@@ -6,9 +6,11 @@ are Cityscapes' label ids.  `bbox` and `area` are of visible pixels; what is amo
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Iterable
-from typing import IO, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +45,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     for split in splits:
         write_whole(
             folder.root / "annotations" / f"instances_{split}.json",
-            lambda temporary, split=split: _write_split(pictures, folder, chosen, split, temporary.open("w")),
+            functools.partial(_write_split, pictures, folder, chosen, split),
         )
     return [
         "bbox is x, y, width, height of the visible pixels; segmentation is run lengths, also where iscrowd is 0.",
@@ -52,12 +54,12 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
 
 
 def _write_split(
-    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed, split: str, handle: IO[str]
+    pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolder, chosen: Boxed, split: str, path: Path
 ) -> None:
     """The annotations as they come, then the shorter list of pictures; memory does not grow with the annotations."""
     images: list[dict[str, Any]] = []
     number = 0
-    with handle:
+    with path.open("w") as handle:
         handle.write('{"annotations": [')
         for picture in pictures():
             if picture.split != split:

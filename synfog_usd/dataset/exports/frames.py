@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.dataset import stereo
 from synfog_usd.dataset.rig import RIG
@@ -91,7 +91,7 @@ class LabelledPicture(PictureKey):
         by_id = {row["id"]: row for row in _json(self.files["instances.json"])["instances"]}
         return [{**by_id.get(row["id"], {}), **row} for row in self.labels.instances if row["pixels"]]
 
-    def transmittance(self) -> Array:
+    def transmittance(self) -> Pixels:
         """(H, W) transmittance [1] from the camera to each pixel's surface, or to the end of the fog, in the picture's
         own pixels.
         """
@@ -105,7 +105,8 @@ class LabelledPicture(PictureKey):
         if plane.shape == labels.instance.shape and not labels.metadata.get("warped"):
             return plane
         provenance = writers.read_exr(self.files["radiance.exr"]).provenance
-        rendered = Pinhole(*plane.shape, provenance["fov_x_deg"], (provenance["shift_x"], provenance["shift_y"]))
+        height, width = plane.shape
+        rendered = Pinhole(height, width, provenance["fov_x_deg"], (provenance["shift_x"], provenance["shift_y"]))
         view = provenance.get("view")
         pinhole = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
         fit = labels.metadata.get("distortion_fit", "inside")
@@ -144,8 +145,8 @@ class Labels:
 
     instance: npt.NDArray[np.int64]
     semantic: npt.NDArray[np.int64]
-    depth_m: Array
-    distance_m: Array
+    depth_m: Pixels
+    distance_m: Pixels
     camera: Mapping[str, Any]
     instances: list[dict[str, Any]]
     metadata: Mapping[str, Any]

@@ -66,5 +66,5 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     ]
 
 
-def _number(value: object) -> float:
+def _number(value: float | None) -> float:
     return -1.0 if value is None else float(value)

@@ -53,7 +53,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         folder.text(f"{picture.split}/label_2/{stem}.txt", "".join(rows))
         baseline_m = labels.metadata["stereo"]["baseline_m"] if right else 0.0
         folder.text(f"{picture.split}/calib/{stem}.txt", _calibration(labels.camera, baseline_m))
-        if right is not None and labels.disparity_px is not None:
+        if right is not None and labels.disparity_px is not None and labels.shared is not None:
             folder.place(right.screen, f"{picture.split}/image_3/{stem}{right.screen.suffix}")
             both = np.where(labels.shared, labels.disparity_px, np.nan)
             for name, disparity in (("disp_occ_0", labels.disparity_px), ("disp_noc_0", both)):

@@ -7,6 +7,7 @@ of fsspec.
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import tarfile
@@ -36,7 +37,7 @@ def write(
         for number, shard in enumerate(_shards(rows)):
             name = f"{split}-{number:05}.tar"
             if url is None:
-                write_whole(folder.root / name, lambda temporary, shard=shard: _write(temporary, shard, chosen))
+                write_whole(folder.root / name, functools.partial(_write, shard=shard, chosen=chosen))
             else:
                 _send(f"{url.rstrip('/')}/{name}", shard, chosen)
     return [".depth.png is planar depth, uint16 / 256 m; 0 is the sky. .id.png is ids of instances, 0 for none."]
@@ -76,7 +77,17 @@ def _send(url: str, shard: list[LabelledPicture], chosen: Boxed) -> None:
 def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Boxed) -> None:
     for picture in shard:
         labels = picture.labels
-        keep = ("id", "path", "label", "semantic_id", "pixels", "box_px", "distance_m", "amodal_box_px", "amodal_rle")
+        keep: tuple[str, ...] = (
+            "id",
+            "path",
+            "label",
+            "semantic_id",
+            "pixels",
+            "box_px",
+            "distance_m",
+            "amodal_box_px",
+            "amodal_rle",
+        )
         keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "speed_m_s", "mean_transmittance")
         keep += ("contrast", "contrast_rms", "cnr", "visibility")
         boxed = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, chosen)]

@@ -289,33 +289,20 @@ class _SetReader:
                     f"denoised nor regularized, every other word is both; samples or target_error end a shot; all that "
                     f"stands in fog is drawn"
                 )
-        options = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
-        kinds = {
-            "word": (str, "a word"),
-            "model": (str, "a name"),
-            "samples": (int, "a whole number"),
-            "target_error": (float, "a number"),
-            "bands": (int, "a whole number"),
+        options: dict[str, Any] = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
+        kinds: dict[str, tuple[type, str, Callable[[Any], None]]] = {
+            "word": (str, "a word", lambda value: numbers.check_quality(value, "word")),
+            "model": (str, "a name", _check_model),
+            "samples": (int, "a whole number", lambda value: numbers.check_samples(value, "samples")),
+            "target_error": (float, "a number", numbers.check_target),
+            "bands": (int, "a whole number", numbers.check_bands),
         }
         for key, value in options.items():
-            place, (kind, form) = item.value[key].place, kinds[key]
-            if kind is bool:
-                options[key] = value = yamlio.switch(value)
-            if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+            place, (kind, form, check) = item.value[key].place, kinds[key]
+            if not isinstance(value, kind) or isinstance(value, bool):
                 raise SetError(f"{place}: quality.{key} is {value!r}; it takes {form}")
             try:
-                if key == "samples":
-                    numbers.check_samples(value, "samples")
-                elif key == "target_error":
-                    numbers.check_target(value)
-                elif key == "bands":
-                    numbers.check_bands(value)
-                elif key == "word":
-                    numbers.check_quality(value, "word")
-                elif key == "model":
-                    from synfog_usd.render.models import check_name
-
-                    check_name(value)
+                check(value)
             except ParameterError as error:
                 raise SetError(f"{place}: quality.{key}: {error}") from error
         return options | ({"quality": options.pop("word")} if "word" in options else {})
@@ -340,7 +327,8 @@ class _SetReader:
             except (ParameterError, ValueError) as error:
                 raise SetError(f"{entry.place}: exposure.{key}: {error}") from error
         try:
-            numbers.check_exposure(**{"exposure_s": None, "iso": None, "ev": 0.0, **options})
+            exposure: dict[str, Any] = {"exposure_s": None, "iso": None, "ev": 0.0, **options}
+            numbers.check_exposure(**exposure)
         except ParameterError as error:
             raise SetError(f"{item.place}: exposure: {error}") from error
         return options
@@ -517,3 +505,9 @@ def share(item: Located, what: str) -> Fraction:
 
 def _limits(low: int, high: int) -> Parameter:
     return Continuous(low, high, None, whole=True)
+
+
+def _check_model(name: str) -> None:
+    from synfog_usd.render.models import check_name
+
+    check_name(name)

@@ -205,7 +205,8 @@ def run(
         journal.keep_definition(out, definition)
         if plan.retry:
             journal.write(out, {"retry": True})
-        maker = _Maker(definition, plan, backend.choose(plan.variant).name, progress, log)
+        chosen = backend.choose(plan.variant)  # type: ignore[arg-type]
+        maker = _Maker(definition, plan, chosen.name, progress, log)
         cpu_began_s = time.process_time()
         try:
             try:

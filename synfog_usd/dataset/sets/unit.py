@@ -102,7 +102,7 @@ def _plan(
         meter=definition.meter,
         meter_for=definition.pipelines[1:] if _one_exposure(definition) else (),
         **definition.quality,
-        **definition.exposure,
+        **definition.exposure,  # type: ignore[arg-type]
     )
 
 
