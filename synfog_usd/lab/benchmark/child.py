@@ -108,6 +108,7 @@ def _loaded(method: Method) -> Work:
         from synfog_usd.lab.benchmark import metrics
 
         return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
+    assert isinstance(method, Defogger)
     if method.kind in ("onnx", "torch"):
         restore = _network(method)
         return lambda taken, out: _write(out, restore(taken))

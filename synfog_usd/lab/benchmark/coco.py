@@ -114,7 +114,7 @@ def match(pictures: int, true: Sequence[TrueBox], guesses: Sequence[FoundBox], r
         from pycocotools.cocoeval import COCOeval
     except ImportError as error:
         raise ParameterError("detectors are measured by pycocotools: pip install pycocotools") from error
-    kinds = sorted({box.kind for box in (*true, *guesses)})
+    kinds = sorted({box.kind for box in true} | {box.kind for box in guesses})
 
     def dataset(rows: list[dict[str, Any]]) -> Any:
         coco = COCO()
@@ -209,7 +209,7 @@ def _precision(matched: MatchedKind, weights: Array) -> Array:
     curve = _nothing(weights)
     counts = weights @ matched.things
     draws = np.flatnonzero(counts > 0.0)
-    boxes = np.flatnonzero(weights.any(axis=0)[matched.picture])
+    boxes = np.flatnonzero(np.any(weights, axis=0)[matched.picture])
     often = weights[draws][:, matched.picture[boxes]]
     apart = 2.0 * np.arange(len(draws))[:, None]  # draws one behind the other, so that one search serves all
     for overlap in range(len(OVERLAPS)):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.lab.benchmark.detectors import Detector
 
 GREY = 114
@@ -31,7 +31,7 @@ MOST = 100
 CANDIDATES = 3000
 """Boxes of a class that are looked at, the best first."""
 
-Boxes = tuple[Array, Array, Array]
+Boxes = tuple[Array, Array, Pixels]
 """(N, 4) corners [px], (N,) scores and (N,) class numbers."""
 
 
@@ -88,7 +88,7 @@ def detector(method: Detector, session: Any) -> Callable[[np.ndarray], list[list
     return find
 
 
-def fitted(picture: np.ndarray, size: tuple[int, ...], *, letterbox: bool) -> tuple[Array, Array, Array]:
+def fitted(picture: np.ndarray, size: tuple[int, ...], *, letterbox: bool) -> tuple[Pixels, Array, Array]:
     """A picture as the network is given it.
 
     Args:
@@ -274,7 +274,8 @@ def suppressed(boxes: Array, most: float) -> np.ndarray:
     A box goes where its intersection over union with a better one that stayed is over `most`.
     """
     area = np.prod(np.maximum(boxes[:, 2:] - boxes[:, :2], 0.0), axis=1)
-    waiting, survivors = np.arange(len(boxes)), []
+    waiting = np.arange(len(boxes))
+    survivors: list[int] = []
     while waiting.size and len(survivors) < MOST:
         best, waiting = waiting[0], waiting[1:]
         survivors.append(best)

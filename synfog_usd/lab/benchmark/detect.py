@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.exports import frames, taxonomy
@@ -354,7 +354,7 @@ def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) ->
         return result
     weights = _weights(answers.views)
 
-    def add(counts: str, by: str, group: str, metric: str, draws: Array, numbers: Array) -> None:
+    def add(counts: str, by: str, group: str, metric: str, draws: Array, numbers: Pixels) -> None:
         enough = len({view.scene for view, n in zip(answers.views, numbers, strict=True) if n}) >= FEWEST_SCENES
         result.rows.append(DetectionScore(counts, by, group, metric, *_told(draws, enough), int(numbers.sum())))
 
@@ -402,7 +402,7 @@ def _lost(
     recalls: Array,
     weights: Array,
     ignored: Callable[[LabelledThing], bool],
-    add: Callable[[str, str, str, str, Array, Array], None],
+    add: Callable[[str, str, str, str, Array, Pixels], None],
 ) -> None:
     """Recall that fog costs, thing by thing: found in clear air less found in fog, by what fog leaves of the thing.
 
@@ -475,7 +475,7 @@ def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -
                 bench_run,
                 runs[0],
                 run,
-                lambda thing, hidden=hidden: thing.pixels < least_px or thing.visibility in hidden,
+                functools.partial(_ignored, least_px=least_px, hidden=hidden),
             )
             for fog in ("", *fogs(views)) if views else ():
                 inside = np.array([fog in ("", view.fog) for view in views])
@@ -486,6 +486,10 @@ def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -
                 row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(amounts.sum()))
                 result.setdefault(run.name, []).append(row)
     return result
+
+
+def _ignored(thing: LabelledThing, *, least_px: int, hidden: Sequence[str]) -> bool:
+    return thing.pixels < least_px or thing.visibility in hidden
 
 
 def _both(

@@ -68,10 +68,10 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     ]
     for name in names:
         for counts in (ALL, LEFT):
-            cells = " | ".join(_cell(scored[name].score(counts, metric)) for metric in METRICS)
+            scores = " | ".join(_cell(scored[name].score(counts, metric)) for metric in METRICS)
             count = getattr(scored[name].score(counts, "AP"), "things", 0)
             answered = f"{scored[name].pictures} of {len(views)}"
-            lines.append(f"| {ranks[name]} | {name} | {counts} | {cells} | {count} | {answered} |")
+            lines.append(f"| {ranks[name]} | {name} | {counts} | {scores} | {count} | {answered} |")
     for title, by, groups in (
         ("AP by visibility (MOR)", "fog", fogs(views)),
         ("AP by distance", "distance", _groups(scored, "distance")),
@@ -91,16 +91,16 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     ]
     lines += _table(["detector", *STATES], rows)
     lost = [
-        [name, by.removeprefix("lost in "), *cells]
-        for name in names
-        for by in dict.fromkeys(row.by for row in scored[name].rows if row.metric == "AR lost")
-        if (cells := _lost(scored[name], by))
+        [detector, by.removeprefix("lost in "), *cells]
+        for detector in names
+        for by in dict.fromkeys(row.by for row in scored[detector].rows if row.metric == "AR lost")
+        if (cells := _lost(scored[detector], by))
     ]
     if lost:
-        head = ["detector", "fog", "AR lost", *(f"of {state} things" for state in STATES), "share of invisible ones"]
+        heads = ["detector", "fog", "AR lost", *(f"of {state} things" for state in STATES), "share of invisible ones"]
         lines += ["", "## What fog costs", ""]
         lines += ["Found in clear air less found in fog. What is lost of invisible things is no detector's fault.", ""]
-        lines += _table(head, lost)
+        lines += _table(heads, lost)
     lines += page.unanswered(bench)
     return "\n".join([*lines, ""])
 

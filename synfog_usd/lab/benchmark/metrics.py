@@ -66,7 +66,7 @@ def ssim(picture: Picture, truth: Picture) -> float:
     if min(picture.shape[:2]) < SSIM_WINDOW_PX:
         return math.nan
     return float(
-        structural_similarity(
+        structural_similarity(  # type: ignore[no-untyped-call]
             picture,
             truth,
             channel_axis=2,

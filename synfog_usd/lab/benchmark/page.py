@@ -11,9 +11,9 @@ from typing import Any
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.lab.benchmark import bench as runs
 from synfog_usd.lab.benchmark import defog, metrics
 from synfog_usd.lab.benchmark.bench import Bench
+from synfog_usd.lab.benchmark.child import picture
 from synfog_usd.lab.benchmark.methods import PNG, Defogger
 from synfog_usd.lab.benchmark.pairs import Pair
 from synfog_usd.lab.benchmark.statistics import Mean, mean, ranks
@@ -95,12 +95,12 @@ def markdown(bench: Bench, rows: Sequence[Row]) -> str:
         lines += ["", f"{title} by fog:", "", f"| method | {' | '.join(fogs)} |", f"|---|{'---|' * len(fogs)}"]
         scene_of = {pair.name: pair.scene for pair in bench.items}
         for method, _, _ in rows:
-            cells = []
+            by_fog = []
             for fog in fogs:
                 values = defog.values(bench, method, names[0], fog)
-                means = mean(list(values.values()), [scene_of[pair] for pair in values]) if values else None
-                cells.append(_cell(names[0], means) if means else "-")
-            lines.append(f"| {method.name} | {' | '.join(cells)} |")
+                average = mean(list(values.values()), [scene_of[pair] for pair in values]) if values else None
+                by_fog.append(_cell(names[0], average) if average else "-")
+            lines.append(f"| {method.name} | {' | '.join(by_fog)} |")
     lines += unanswered(bench)
     missing = [name for name in metrics.METRICS if name not in metrics.usable()]
     lines += ["", "Metrics: " + "; ".join(f"{_title(n)} ({metrics.METRICS[n].source})" for n in names) + "."]
@@ -216,7 +216,7 @@ def tile(path: Path, caption: str) -> Tile:
     from PIL import Image
 
     try:
-        return fitted(Image.fromarray(runs.picture(path))), caption
+        return fitted(Image.fromarray(picture(path))), caption
     except ParameterError:
         return no_answer(caption, "cannot be read")
 
@@ -243,8 +243,8 @@ def sheet(strips: Sequence[Sequence[Tile]], path: Path) -> None:
     whole = Image.new("RGB", (GAP_PX + wide * max(map(len, strips)), GAP_PX + sum(high)), (24, 24, 26))
     draw, top = ImageDraw.Draw(whole), GAP_PX
     for row, height in zip(strips, high, strict=True):
-        for column, (picture, caption) in enumerate(row):
+        for column, (shown, caption) in enumerate(row):
             draw.text((GAP_PX + column * wide, top), caption[:40], fill=(225, 225, 225), font=font)
-            whole.paste(picture, (GAP_PX + column * wide, top + CAPTION_PX))
+            whole.paste(shown, (GAP_PX + column * wide, top + CAPTION_PX))
         top += height
     files.write_whole(path, lambda temporary: whole.save(temporary, "PNG"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -137,8 +138,12 @@ def _bakes_in(source: Path, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple
         yield words, source
     for manifest, views in ((source / RIG, "cameras"), (source / SEQUENCE, "frames")):
         if manifest.is_file():
-            for folder in _told(manifest, lambda found, views=views: [str(row["folder"]) for row in found[views]]):
+            for folder in _told(manifest, functools.partial(_folders_in, views)):
                 yield from _bakes_in(source / folder, (*words, folder))
+
+
+def _folders_in(views: str, manifest: Any) -> list[str]:
+    return [str(row["folder"]) for row in manifest[views]]
 
 
 def _told(manifest: Path, read: Callable[[Any], list[Row]]) -> list[Row]:

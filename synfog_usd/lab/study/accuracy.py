@@ -209,11 +209,11 @@ def flip(reference: Array, test: Array, *, exposure_of: Array | None = None) -> 
     if median <= 0.0:
         return 0.0 if np.array_equal(reference, test) else math.nan
     gain = MIDDLE_GREY / median
-    buffers = [
+    true, tried = (
         OpenImageIO.ImageBuf(np.ascontiguousarray(picture * gain, dtype=np.float32)) for picture in (reference, test)
-    ]
+    )
     most = max(float(bright.max()) * gain, 2.0 * MIDDLE_GREY)
-    result = OpenImageIO.ImageBufAlgo.FLIP_diff(*buffers, hdr=1, maxluminance=most, medianluminance=MIDDLE_GREY)
+    result = OpenImageIO.ImageBufAlgo.FLIP_diff(true, tried, hdr=1, maxluminance=most, medianluminance=MIDDLE_GREY)
     return float(np.asarray(result.get_pixels(OpenImageIO.FLOAT), dtype=np.float64).mean())
 
 

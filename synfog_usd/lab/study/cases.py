@@ -6,6 +6,7 @@ in another way.  Knows nothing of Mitsuba.
 
 from __future__ import annotations
 
+import functools
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -89,6 +90,10 @@ class Case:
 def furnace(sigma_t: float, g: float = 0.87) -> Known:
     """Albedo 1, a sky of 1 all around, 60 m of fog to every side: every pixel is 1."""
     return Known(scene(sky(), [FogVolume("/Fog", box(60.0), FogMedium(sigma_t, g=g))], fov_x_deg=60.0), 1.0)
+
+
+def _wall_in(mor_m: float) -> Known:
+    return glowing_wall(float(extinction_from_visibility(mor_m)))
 
 
 def glowing_wall(sigma_t: float) -> Known:
@@ -329,7 +334,7 @@ def _dimmed() -> list[Case]:
         *(
             Case(
                 f"black wall at 50 m, MOR {mor:g}: Beer-Lambert",
-                lambda mor=mor: glowing_wall(float(extinction_from_visibility(mor))),
+                functools.partial(_wall_in, mor),
                 ONCE,
                 samples=32,
                 peer_samples=1024,
@@ -365,7 +370,7 @@ def _furnaces() -> list[Case]:
             peer_samples=16,
         ),
         *(
-            Case(f"white furnace, MOR 50, g = {g:g}", lambda g=g: furnace(THICK, g), FULL)
+            Case(f"white furnace, MOR 50, g = {g:g}", functools.partial(furnace, THICK, g), FULL)
             for g in (0.0, 1e-4, 0.99, -0.99)
         ),
     ]
@@ -376,7 +381,7 @@ def _slabs() -> list[Case]:
         *(
             Case(
                 f"empty slab, MOR 150, ground {ground:g}, zenith 0-87",
-                lambda ground=ground: slab(ground),
+                functools.partial(slab, ground),
                 FULL,
                 SOLVED,
                 bands=3,
@@ -423,7 +428,7 @@ def _of_two_ways() -> list[Case]:
         *(
             Case(
                 f"USD stage, {what} = m, Z up, at 0",
-                lambda how=how: restaged(**how),
+                functools.partial(restaged, **how),
                 ONCE,
                 resolves=0.1,
                 samples=512,

@@ -438,7 +438,8 @@ class _Renders:
         began = time.perf_counter()
         rendered = shot.render(self.scene, settings, progress=progress, loaded=loaded)
         elapsed = max(time.perf_counter() - began, 1e-3)
-        return bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels)), elapsed, rendered.samples
+        rgb = bands.to_rgb(rendered.radiance.pixels, len(rendered.radiance.channels))  # type: ignore[arg-type]
+        return rgb, elapsed, rendered.samples
 
     @functools.cached_property
     def _noise(self) -> Callable[[Array], Array]:

@@ -191,7 +191,7 @@ def _small_panel(axes: Axes, stages: Mapping[str, Sequence[Point]], name: str, m
             zorder=3,
         )
     ringed = [p for p in points if p.enough and measure == ERROR]
-    ring = {"ms": 12, "mfc": "none", "mec": INK, "mew": 1.3, "zorder": 6}
+    ring: dict[str, Any] = {"ms": 12, "mfc": "none", "mec": INK, "mew": 1.3, "zorder": 6}
     axes.plot([p.seconds for p in ringed], [p.relative_rms for p in ringed], "o", **ring)
     axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
 
@@ -210,7 +210,7 @@ def _handles(points: Sequence[Point], measure: str) -> list[Any]:
     if measure == ERROR:
         handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
     if measure == ERROR and any(point.enough for point in points):
-        ring = {"marker": "o", "ms": 10, "mfc": "none", "ls": ""}
+        ring: dict[str, Any] = {"marker": "o", "ms": 10, "mfc": "none", "ls": ""}
         handles.append(Line2D([], [], color=INK, label="enough for the error asked for", **ring))
     return handles
 
@@ -392,9 +392,10 @@ class _Labels:
         self, axes: Axes, by_line: dict[str, list[Point]], steps: Sequence[tuple[float, float]], measure: str
     ) -> None:
         self.axes, self.by_line, self.measure = axes, by_line, measure
-        self.renderer, self.unit = axes.figure.canvas.get_renderer(), axes.figure.dpi / 72.0  # pixels of a point
+        canvas: Any = axes.figure.canvas
+        self.renderer, self.unit = canvas.get_renderer(), axes.figure.dpi / 72.0  # pixels of a point
         to_pixels = axes.transData.transform
-        self.marks = {
+        self.marks: dict[int, Any] = {
             id(point): to_pixels((point.seconds, point.amount(measure))) for line in by_line.values() for point in line
         }
         self.boxes: list[tuple[float, float, float, float]] = []

@@ -172,7 +172,7 @@ def toned(rgb: Array, gain: float) -> Array:
     """(H, W, 3) linear -> 0 to 255 in sRGB, brightest parts rolled off."""
     linear = np.maximum(np.asarray(rgb, dtype=np.float64) * gain, 0.0)
     linear = np.where(linear > 0.6, 1.0 - 0.4 * np.exp(-(linear - 0.6) / 0.4), linear)
-    return 255.0 * srgb_encode(linear)
+    return np.asarray(255.0 * srgb_encode(linear), dtype=np.float64)
 
 
 def error_map(picture: Array, reference: Reference) -> Array:

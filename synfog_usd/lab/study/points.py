@@ -10,7 +10,7 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -184,7 +184,7 @@ def price(line: Sequence[Point], target: float, measure: str = ERROR) -> Price |
     if last.quality:
         there = [point for point in line if point.amount(measure) <= target]
         cheapest = min(there, key=lambda point: point.seconds, default=None)
-        return cheapest and Price(last.line, cheapest.samples, cheapest.seconds, 1.0)
+        return Price(last.line, cheapest.samples, cheapest.seconds, 1.0) if cheapest else None
     if measure == MOTTLE:
         clouds = sum(point.mottle**2 * point.samples for point in line) / len(line)
         samples = max(clouds / target**2, float(line[0].samples))
@@ -261,7 +261,7 @@ def table(rows: Iterable[Point | Mapping[str, Any]]) -> str:
 def read(text: str) -> list[Point]:
     """The points of a `chart.csv`."""
     kinds = {field.name: str(field.type) for field in fields(Point)}
-    readers = {
+    readers: dict[str, Callable[[str], Any]] = {
         "str": str,
         "int": int,
         "float": float,
@@ -271,7 +271,7 @@ def read(text: str) -> list[Point]:
     return [
         Point(**{name: readers[kind](row[name]) for name, kind in kinds.items()})
         for row in csv.DictReader(io.StringIO(text))
-    ]  # type: ignore[operator]
+    ]
 
 
 def _cell(value: object) -> object:

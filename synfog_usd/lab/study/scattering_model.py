@@ -273,7 +273,7 @@ def _compare(pair: FogPair) -> ShotErrors:
     by_model = models(truth, clear, t, white=white, noise=noise)
     if (scattered := _channels(pair.foggy, [f"airlight_multiple.{name}" for name in truth_image.channels])) is not None:
         by_model["single"] = truth - scattered
-    over_noise = {}
+    over_noise: dict[tuple[str, str, int], float] = {}
     for name, model in by_model.items():
         reference = (
             by_model["fitted"] if name == "two_percent" else np.minimum(truth, white) if name == "srgb" else truth
