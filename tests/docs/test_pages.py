@@ -4,6 +4,7 @@ table of rooms, limits, attributes and ops.
 
 from __future__ import annotations
 
+import ast
 import fnmatch
 import re
 import shlex
