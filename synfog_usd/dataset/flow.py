@@ -118,10 +118,10 @@ def _way(row: Mapping[str, Any], other: Mapping[str, Any] | None) -> Array | Non
     """(4, 4) from an instance's place in one frame to that in another; None where it stands, or its pose is unknown."""
     if other is None or "pose" not in row or "pose" not in other or row["pose"] == other["pose"]:
         return None
-    places = [_matrix(one["pose"]) for one in (row, other)]
-    if np.array_equal(*places):
+    here, there = _matrix(row["pose"]), _matrix(other["pose"])
+    if np.array_equal(here, there):
         return None
-    return np.asarray(places[1] @ np.linalg.inv(places[0]))
+    return np.asarray(there @ np.linalg.inv(here))
 
 
 def _matrix(pose: Mapping[str, Any]) -> Array:
@@ -147,7 +147,7 @@ def tracks(listed: Sequence[Mapping[int, Mapping[str, Any]]], per_s: float) -> l
         `yaw_rate_deg_s`.
     """
     rows = [{row["path"]: row for row in one.values()} for one in listed]
-    found = []
+    found: list[dict[str, Any]] = []
     for path in dict.fromkeys(path for one in rows for path in one):
         label = next(one[path]["label"] for one in rows if path in one)
         if not cityscapes.label(label).has_instances or not any(one.get(path, {}).get("pixels") for one in rows):
@@ -202,7 +202,7 @@ def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], 
 
     rows: list[Mapping[int, Mapping[str, Any]]] = []
     before: Labelled | None = None
-    view = read(out / folders[0])
+    view: Labelled | str | None = read(out / folders[0])
     for number, folder in enumerate(folders):
         following = read(out / folders[number + 1]) if number + 1 < len(folders) else None
         for one in (view, following):
