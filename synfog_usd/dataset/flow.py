@@ -58,46 +58,46 @@ def read(folder: Path) -> Labelled | str:
 
     if not (folder / "labels.json").is_file():
         return "no labels are made"
-    told = json.loads((folder / "labels.json").read_bytes())
-    camera = told.get("camera", {})
+    content = json.loads((folder / "labels.json").read_bytes())
+    camera = content.get("camera", {})
     if camera.get("model") != "pinhole":
         return f"the camera is {camera.get('model', 'unknown')}; flow is told of a pinhole"
     names = ["instance.ID", "depth.Z"]
     planes = writers.read_exr(folder / "labels.exr", quantity=Quantity.DATA, channels=names).pixels.astype(np.float64)
-    rows = {int(row["id"]): row for row in told["instances"]}
+    rows = {int(row["id"]): row for row in content["instances"]}
     ids = np.rint(planes[:, :, 0]).astype(np.int64)
     return Labelled(
         ids, planes[:, :, 1], np.array(camera["camera_matrix_px"]), np.array(camera["camera_to_world"]), rows
     )
 
 
-def flow(one: Labelled, other: Labelled) -> Array:
+def flow(frame: Labelled, other: Labelled) -> Array:
     """(H, W, 3) X and Y [px] from one frame to another, and `seen`.
 
     The sky is infinitely far: it moves as the camera turns.
     """
-    height, width = one.depth_m.shape
+    height, width = frame.depth_m.shape
     v, u = np.mgrid[:height, :width].astype(np.float64)
-    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(one.matrix).T
-    sky = ~np.isfinite(one.depth_m)
-    points = rays * np.where(sky, 1.0, one.depth_m)[..., None]
-    world = points @ one.to_world[:3, :3].T + np.where(sky[..., None], 0.0, one.to_world[:3, 3])
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(frame.matrix).T
+    sky = ~np.isfinite(frame.depth_m)
+    points = rays * np.where(sky, 1.0, frame.depth_m)[..., None]
+    world = points @ frame.to_world[:3, :3].T + np.where(sky[..., None], 0.0, frame.to_world[:3, 3])
     twins = {row["path"]: number for number, row in other.rows.items()}
-    twin = np.zeros(max([0, *one.rows]) + 1, dtype=np.int64)
-    for number in np.unique(one.instance[one.instance > 0]):
-        twin[number] = twins.get(one.rows[number]["path"], 0)
-        way = _way(one.rows[number], other.rows.get(twin[number]))
+    twin = np.zeros(max([0, *frame.rows]) + 1, dtype=np.int64)
+    for number in np.unique(frame.instance[frame.instance > 0]):
+        twin[number] = twins.get(frame.rows[number]["path"], 0)
+        way = _way(frame.rows[number], other.rows.get(twin[number]))
         if way is not None:
-            mine = one.instance == number
+            mine = frame.instance == number
             world[mine] = world[mine] @ way[:3, :3].T + way[:3, 3]
     local = (world - np.where(sky[..., None], 0.0, other.to_world[:3, 3])) @ other.to_world[:3, :3]
     ahead = local[..., 2] > 1e-6
-    place = local @ other.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
-    moved = np.where(ahead[..., None], place[..., :2] - np.stack([u, v], axis=-1), 0.0)
-    x, y = (np.where(ahead, place[..., axis], -9.0) for axis in (0, 1))
+    position = local @ other.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
+    moved = np.where(ahead[..., None], position[..., :2] - np.stack([u, v], axis=-1), 0.0)
+    x, y = (np.where(ahead, position[..., axis], -9.0) for axis in (0, 1))
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     row, column = (np.clip(np.rint(a).astype(np.int64), 0, n - 1) for a, n in ((y, height), (x, width)))
-    shown = _shows(other, row, column, local[..., 2], np.where(sky, 0, twin[one.instance]), sky)
+    shown = _shows(other, row, column, local[..., 2], np.where(sky, 0, twin[frame.instance]), sky)
     return np.concatenate([moved, np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)[..., None]], axis=-1)
 
 
@@ -146,26 +146,26 @@ def tracks(listed: Sequence[Mapping[int, Mapping[str, Any]]], per_s: float) -> l
         `box_px`, `velocity_m_s`, place [m], `yaw_deg` of where it looks, counter-clockwise from +Y, and
         `yaw_rate_deg_s`.
     """
-    rows = [{row["path"]: row for row in one.values()} for one in listed]
-    found: list[dict[str, Any]] = []
-    for path in dict.fromkeys(path for one in rows for path in one):
-        label = next(one[path]["label"] for one in rows if path in one)
-        if not cityscapes.label(label).has_instances or not any(one.get(path, {}).get("pixels") for one in rows):
+    rows = [{row["path"]: row for row in frame.values()} for frame in listed]
+    tracked: list[dict[str, Any]] = []
+    for path in dict.fromkeys(path for frame in rows for path in frame):
+        label = next(frame[path]["label"] for frame in rows if path in frame)
+        if not cityscapes.label(label).has_instances or not any(frame.get(path, {}).get("pixels") for frame in rows):
             continue
-        every = [one.get(path) for one in rows]
+        every = [frame.get(path) for frame in rows]
         yaw = np.array([np.nan if row is None or "pose" not in row else _yaw(row["pose"]) for row in every])
         frames = []
         for number, row in enumerate(every):
             if row is None:
                 continue
-            told = {"frame": number, "id": row["id"], "pixels": row["pixels"]}
-            told |= {key: row[key] for key in ("box_px", "velocity_m_s") if key in row}
+            content = {"frame": number, "id": row["id"], "pixels": row["pixels"]}
+            content |= {key: row[key] for key in ("box_px", "velocity_m_s") if key in row}
             if "pose" in row:
-                told |= {"world_m": row["pose"]["world_m"], "yaw_deg": round(float(yaw[number]), 3)}
-                told["yaw_rate_deg_s"] = round(_rate(yaw, number) * per_s, 3)
-            frames.append(told)
-        found.append({"track": len(found) + 1, "path": path, "label": label, "frames": frames})
-    return found
+                content |= {"world_m": row["pose"]["world_m"], "yaw_deg": round(float(yaw[number]), 3)}
+                content["yaw_rate_deg_s"] = round(_rate(yaw, number) * per_s, 3)
+            frames.append(content)
+        tracked.append({"track": len(tracked) + 1, "path": path, "label": label, "frames": frames})
+    return tracked
 
 
 def _yaw(pose: Mapping[str, Any]) -> float:
@@ -205,9 +205,9 @@ def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], 
     view: Labelled | str | None = read(out / folders[0])
     for number, folder in enumerate(folders):
         following = read(out / folders[number + 1]) if number + 1 < len(folders) else None
-        for one in (view, following):
-            if isinstance(one, str):
-                log(f"{out}: no flow and no tracks: {one}")
+        for frame in (view, following):
+            if isinstance(frame, str):
+                log(f"{out}: no flow and no tracks: {frame}")
                 return
         assert isinstance(view, Labelled)
         around = {"forward": following, "backward": before}

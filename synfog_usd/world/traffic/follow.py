@@ -72,7 +72,7 @@ class Vehicle:
         u = np.clip((s - self.s) / EASES_OVER_M, 0.0, 1.0)
         return np.asarray(self.aside + (self.until - self.aside) * u * u * (3.0 - 2.0 * u))
 
-    def place(self, path: Path, s: Array) -> tuple[Array, Array, Array]:
+    def pose(self, path: Path, s: Array) -> tuple[Array, Array, Array]:
         """x, y [m] and heading [rad] at stations."""
         offset = self.offset(s)
         x, y, h = path.at(s, offset)
@@ -121,51 +121,51 @@ class Street:
     @cached_property
     def used(self) -> dict[int, Indices]:
         """Routes with somebody on them, each with who."""
-        found = np.array([one.route for one in self.vehicles])
-        return {number: np.flatnonzero(found == number) for number in dict.fromkeys(found.tolist())}
+        result = np.array([vehicle.route for vehicle in self.vehicles])
+        return {number: np.flatnonzero(result == number) for number in dict.fromkeys(result.tolist())}
 
     @cached_property
     def nose(self) -> Array:
         """(N,) from origins to front bumpers [m]."""
-        return np.array([one.ahead for one in self.vehicles])
+        return np.array([vehicle.ahead for vehicle in self.vehicles])
 
     @cached_property
     def half(self) -> Array:
         """(N,) half the widths [m]."""
-        return np.array([one.width / 2 for one in self.vehicles])
+        return np.array([vehicle.width / 2 for vehicle in self.vehicles])
 
     @cached_property
     def around(self) -> Array:
         """(N, POINTS, 2) outline of each vehicle in its own axes, right and ahead [m]."""
-        ends = np.array([(-one.behind, (one.ahead - one.behind) / 2, one.ahead) for one in self.vehicles])
+        ends = np.array([(-car.behind, (car.ahead - car.behind) / 2, car.ahead) for car in self.vehicles])
         across = self.half[:, None, None] * np.array([-1.0, 0.0, 1.0])
         return np.stack(np.broadcast_arrays(across, ends[:, :, None]), axis=-1).reshape(-1, POINTS, 2)
 
     @cached_property
     def meets(self) -> dict[tuple[float, float], list[tuple[int, float]]]:
         """For the place at which a line before a junction lets in: used routes, and where each comes by [m]."""
-        found: dict[tuple[float, float], list[tuple[int, float]]] = {}
+        result: dict[tuple[float, float], list[tuple[int, float]]] = {}
         for line in (line for number in self.used for line in self.routes[number].gives_way):
             places = [(number, *self.routes[number].path.nearest(np.array(line.meet))) for number in self.used]
-            found[line.meet] = [(number, float(at)) for number, at, aside in places if abs(float(aside)) < MEETS_M]
-        return found
+            result[line.meet] = [(number, float(at)) for number, at, aside in places if abs(float(aside)) < MEETS_M]
+        return result
 
     def limits(self, s: Array, times: float = 1.0) -> Array:
         """(N,) speeds [m/s] that the bends allow, at `times` the usual."""
-        found = np.full(len(s), np.inf)
+        result = np.full(len(s), np.inf)
         for number, who in self.used.items():
             path = self.routes[number].path
-            found[who] = times * np.interp(s[who], path.s, path.limit)
-        return found
+            result[who] = times * np.interp(s[who], path.s, path.limit)
+        return result
 
     def ahead(self, s: Array, v: Array, step: int) -> tuple[Array, Array]:
         """(N,) gaps [m] to what each has to brake for, and its speed [m/s]; inf for nothing."""
         where = np.zeros((len(s), 2))
         heading = np.zeros(len(s))
         offset = np.zeros(len(s))
-        for i, one in enumerate(self.vehicles):
-            x, y, h = one.place(self.routes[one.route].path, s[i : i + 1])
-            where[i], heading[i], offset[i] = (x[0], y[0]), h[0], one.offset(s[i : i + 1])[0]
+        for i, vehicle in enumerate(self.vehicles):
+            x, y, h = vehicle.pose(self.routes[vehicle.route].path, s[i : i + 1])
+            where[i], heading[i], offset[i] = (x[0], y[0]), h[0], vehicle.offset(s[i : i + 1])[0]
         c, n = np.cos(heading)[:, None], np.sin(heading)[:, None]
         across, along = self.around[..., 0], self.around[..., 1]
         outlines = where[:, None] + np.stack([across * c - along * n, across * n + along * c], axis=-1)
@@ -196,7 +196,7 @@ class Street:
             fixed, aside = self.still[number]
             blocks = (np.abs(aside[None] - side) < half + 0.05) & (fixed[None] > front[:, None])
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
-            lines = [*route.red, *(one.s for one in route.gives_way if self._taken(one, s, v))]
+            lines = [*route.red, *(gate.s for gate in route.gives_way if self._taken(gate, s, v))]
             for line in lines:
                 left = (line - front)[:, None]
                 stops = (left > -OVER_LINE_M) & (v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
@@ -208,7 +208,7 @@ class Street:
         for number, meet in self.meets[line.meet]:
             who, route = self.used[number], self.routes[number]
             left = meet - s[who]
-            inside = s[who] + self.nose[who] > max((one.s for one in route.gives_way), default=-np.inf)
+            inside = s[who] + self.nose[who] > max((gate.s for gate in route.gives_way), default=-np.inf)
             if (inside & (left > -self.nose[who]) & (left < np.maximum(FREE_M, v[who] * FREE_S))).any():
                 return True
         return False
@@ -216,17 +216,17 @@ class Street:
 
 def beside(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
     """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
-    found = {}
+    result = {}
     for number in used:
         s, aside = routes[number].path.nearest(fixed.reshape(-1, 2))
         near = np.abs(aside) < routes[number].path.width
-        found[number] = s[near], aside[near]
-    return found
+        result[number] = s[near], aside[near]
+    return result
 
 
 def drive(street: Street, seconds: float) -> Run:
-    """Let all drive for a time [s], from speeds at which nobody has to brake hard at once."""
-    s, v, v0 = np.array([(one.s, one.v, one.v0) for one in street.vehicles]).T
+    """Let all vehicles drive for a time [s]; they begin at speeds at which nobody brakes hard."""
+    s, v, v0 = np.array([(vehicle.s, vehicle.v, vehicle.v0) for vehicle in street.vehicles]).T
     v = np.minimum(v, street.limits(s, np.sqrt(1.5)))
     for _ in range(INITIAL_ROUNDS):
         gap, ahead = street.ahead(s, v, 0)
@@ -270,12 +270,12 @@ def eased(path: Path, vehicle: Vehicle, still: tuple[Array, Array], reach_m: flo
         reach_m: how far it may go.
     """
     most = max(0.0, path.width / 2 - vehicle.width / 2 - 0.1)
-    own = float(np.clip(vehicle.aside, -most, most))
+    wanted = float(np.clip(vehicle.aside, -most, most))
     s, aside = still
     beside = aside[(s > vehicle.s - vehicle.behind) & (s < vehicle.s + reach_m)]
     if not len(beside):
-        return own
-    tried = own + np.array([0.0, *(sign * 0.05 * k for k in range(1, 13) for sign in (-1, 1))])
+        return wanted
+    tried = wanted + np.array([0.0, *(sign * 0.05 * k for k in range(1, 13) for sign in (-1, 1))])
     clear = np.abs(beside[None] - tried[:, None]).min(axis=1) - vehicle.width / 2
     enough = np.flatnonzero(clear > 0.2)
     return float(tried[enough[0]] if len(enough) else tried[np.argmax(clear)])

@@ -54,7 +54,7 @@ def acceleration(
     Returns:
         [m/s2], float64, of the common shape; -HARDEST to driver.speeding_up.
     """
-    v, v0, gap, ahead = (np.asarray(one, dtype=np.float64) for one in (v, v0, gap, ahead))
+    v, v0, gap, ahead = (np.asarray(value, dtype=np.float64) for value in (v, v0, gap, ahead))
     a, b = driver.speeding_up, driver.braking
     wished = driver.standstill_m + np.maximum(0.0, v * driver.headway_s + v * (v - ahead) / (2.0 * np.sqrt(a * b)))
     free = np.maximum(a * (1.0 - (v / v0) ** 4), -SLOWING)

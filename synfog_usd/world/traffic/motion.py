@@ -129,11 +129,11 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     still = (p for i, p in enumerate(spec.placed) if i not in move and p.group not in PASSED)
     fixed = [rules.footprint(p) for p in still]
     places = walk.plan(list(walkers.values()), footways(spec.road), [*fixed, *_posts(spec)], steps, pace.seed)
-    outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(one), OUTLINE_M) for one in fixed])
-    still_at = beside(ways, {one.route for one in vehicles}, outline)
+    outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(corners), OUTLINE_M) for corners in fixed])
+    still_at = beside(ways, {vehicle.route for vehicle in vehicles}, outline)
     vehicles = [
-        replace(one, until=eased(ways[one.route].path, one, still_at[one.route], one.v0 * float(t[-1]) + 10.0))
-        for one in vehicles
+        replace(car, until=eased(ways[car.route].path, car, still_at[car.route], car.v0 * float(t[-1]) + 10.0))
+        for car in vehicles
     ]
     street = Street(ways, vehicles, places[..., :2], still_at, Driver(pace.headway_s, 1.5))
     run = drive(street, float(t[-1]) + STEP_S)
@@ -167,10 +167,11 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
     """Numbers of who is in a lane, -1 of the camera's car, and how each begins."""
     view = spec.view
     behind, before = OWN_CAR_M
-    own = _in_lane(ways, view.x, view.y, view.heading - view.yaw, 0.5, stream(pace.seed, "traffic", "route", "ego"))
-    if own is None:
+    rng = stream(pace.seed, "traffic", "route", "ego")
+    ego_lane = _in_lane(ways, view.x, view.y, view.heading - view.yaw, 0.5, rng)
+    if ego_lane is None:
         raise RecipeError("the camera is in no lane, so that nothing can be put in motion around it")
-    found = [Vehicle(*own, before, behind, OWN_WIDTH_M, pace.speed_m_s, pace.speed_m_s)]
+    result = [Vehicle(*ego_lane, before, behind, OWN_WIDTH_M, pace.speed_m_s, pace.speed_m_s)]
     who = [-1]
     ridden = {bicycle for _, bicycle in _ridden(spec)}
     for index, p in enumerate(spec.placed):
@@ -187,26 +188,26 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
         v = speed if p.speed_m_s is None else p.speed_m_s
         v0 = speed * (SLOWS if p.lit.get("lamps") == "brake" and p.speed_m_s is None else 1.0)
         x0, y0, x1, y1 = rules.foot(p.asset)
-        found.append(Vehicle(*lane, y1, -y0, x1 - x0, v, max(v0, 1.0)))
+        result.append(Vehicle(*lane, y1, -y0, x1 - x0, v, max(v0, 1.0)))
         who.append(index)
-    return who, found
+    return who, result
 
 
 def _in_lane(
     ways: Sequence[Route], x: float, y: float, heading: float, beside: float, rng: np.random.Generator
 ) -> tuple[int, float, float, float] | None:
-    """Route, station, offset [m] and turn [rad] of who is at a place; one of those that begin alike is drawn."""
-    found = []
+    """Route, station, offset [m] and turn [rad] of who is at a place, drawn among routes that begin there."""
+    result = []
     for number, route in enumerate(ways):
         s, aside = (float(v) for v in route.path.nearest(np.array([x, y])))
         turn = math.remainder(math.radians(heading) - float(route.path.at(s)[2]), 2 * math.pi)
         if abs(aside) < route.path.width / 2 + beside and abs(turn) < TURNED:
-            found.append((number, s, aside, turn))
-    if not found:
+            result.append((number, s, aside, turn))
+    if not result:
         return None
-    least = min(abs(aside) for _, _, aside, _ in found)
-    alike = [one for one in found if abs(one[2]) < least + 0.3]
-    return alike[int(rng.integers(len(alike)))]
+    least = min(abs(aside) for _, _, aside, _ in result)
+    candidates = [vehicle for vehicle in result if abs(vehicle[2]) < least + 0.3]
+    return candidates[int(rng.integers(len(candidates)))]
 
 
 def _ridden(spec: WorldSpec) -> list[tuple[int, int]]:
@@ -254,10 +255,10 @@ def slopes(site: Site, x: Array, y: Array, heading: Array) -> tuple[Array, Array
 
 def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, brakes: bool, index: int) -> Track:
     """The track of a vehicle; it begins exactly where it was drawn."""
-    one = street.vehicles[number]
-    route = street.routes[one.route]
+    vehicle = street.vehicles[number]
+    route = street.routes[vehicle.route]
     s, v, a = (column[:, number] for column in run.at(t))
-    x, y, h = one.place(route.path, s)
+    x, y, h = vehicle.pose(route.path, s)
     z = ground(spec.road, x, y)
     pitch, roll = slopes(spec.road, x, y, h)
     p: Any = spec.view if index < 0 else spec.placed[index]
@@ -286,14 +287,14 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, br
         np.interp(s, route.path.s, route.path.curvature),
         np.array(lights),
         np.where((t * BLINKS_HZ) % 1.0 >= 0.5, side, 0),
-        s + one.ahead < route.path.length - 0.5,
+        s + vehicle.ahead < route.path.length - 0.5,
     )
 
 
 def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement) -> Track:
     """The track of one who walks; on kerbs the feet go up and down over half a metre."""
-    first = places[:1] - (places[1:2] - places[:1]) * (-t[0] / STEP_S)
-    rows, at = np.concatenate([first, places]), np.r_[t[0], steps]
+    before = places[:1] - (places[1:2] - places[:1]) * (-t[0] / STEP_S)
+    rows, at = np.concatenate([before, places]), np.r_[t[0], steps]
     x, y, heading, travel = (np.interp(t, at, column) for column in rows.T)
     dx, dy = -np.sin(heading), np.cos(heading)
     z = np.mean([ground(spec.road, x + d * dx, y + d * dy) for d in (-0.25, -0.12, 0.0, 0.12, 0.25)], axis=0)

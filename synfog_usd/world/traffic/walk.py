@@ -79,7 +79,7 @@ class Way:
     least: float
     most: float
 
-    def place(self, travel: Array, shift: float) -> Array:
+    def position(self, travel: Array, shift: float) -> Array:
         """(K, 3) x, y [m] and heading [rad] after so much of the way [m], gone over to a side by `shift` [m]."""
         u = np.clip(travel / ASIDE_OVER_M, 0.0, 1.0)
         offset = self.aside + shift * u * u * (3.0 - 2.0 * u)
@@ -102,18 +102,18 @@ def plan(walkers: Sequence[Walker], ways: Sequence[Path], fixed: Sequence[Array]
         (K, M, 4) x, y [m], heading [rad] and the way that was walked [m].
     """
     walkers = _paced(walkers, seed)
-    routes = [_way(one, ways, stream(seed, "traffic", "walker", one.name)) for one in walkers]
+    routes = [_way(walker, ways, stream(seed, "traffic", "walker", walker.name)) for walker in walkers]
     result = np.zeros((len(times), len(walkers), 4))
-    for number, one in enumerate(walkers):
-        result[:, number, :3] = one.x, one.y, one.heading
+    for number, walker in enumerate(walkers):
+        result[:, number, :3] = walker.x, walker.y, walker.heading
     stands = shapely.STRtree([shapely.Polygon(corners) for corners in fixed])
     order = sorted(range(len(walkers)), key=lambda k: -routes[k].s)
     for number in order:
-        one, way = walkers[number], routes[number]
-        away = np.hypot(*(result[..., :2] - (one.x, one.y)).T).min(axis=1)
-        near = [k for k in np.flatnonzero(away < one.speed * times[-1] + 3.0) if k != number]
+        walker, way = walkers[number], routes[number]
+        away = np.hypot(*(result[..., :2] - (walker.x, walker.y)).T).min(axis=1)
+        near = [k for k in np.flatnonzero(away < walker.speed * times[-1] + 3.0) if k != number]
         beside = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
-        result[:, number] = _chosen(one, way, times, stands, beside)
+        result[:, number] = _chosen(walker, way, times, stands, beside)
     return result
 
 
@@ -126,30 +126,30 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
     return np.stack([places[:, :1] + x * c - y * s, places[:, 1:2] + x * s + y * c], axis=-1)
 
 
-def _chosen(one: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
+def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     limit = max(way.path.length - way.s - 0.5, 0.0)
     farthest = 0
     for slower in SLOWER:
-        travel = np.minimum(one.speed * slower * times, limit)
+        travel = np.minimum(walker.speed * slower * times, limit)
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
-            free = _free_until(way.place(travel, shift), one, stands, beside)
+            free = _free_until(way.position(travel, shift), walker, stands, beside)
             if free == len(times):
-                return np.c_[way.place(travel, shift), travel]
+                return np.c_[way.position(travel, shift), travel]
             farthest = max(farthest, free)
     for stop in range(farthest - EVERY, 0, -EVERY):  # stand still before what is in the way
-        travel = np.minimum(one.speed * times, one.speed * times[stop])
-        if _free_until(way.place(travel, 0.0), one, stands, beside) == len(times):
-            return np.c_[way.place(travel, 0.0), travel]
+        travel = np.minimum(walker.speed * times, walker.speed * times[stop])
+        if _free_until(way.position(travel, 0.0), walker, stands, beside) == len(times):
+            return np.c_[way.position(travel, 0.0), travel]
     travel = np.zeros(len(times))
-    return np.c_[np.tile((one.x, one.y, one.heading), (len(times), 1)), travel]
+    return np.c_[np.tile((walker.x, walker.y, walker.heading), (len(times), 1)), travel]
 
 
-def _free_until(places: Array, one: Walker, stands: shapely.STRtree, beside: Sequence[Array]) -> int:
+def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, beside: Sequence[Array]) -> int:
     """Number of the step at which somebody runs into something; the number of steps where nobody does."""
-    mine = shapely.polygons(outlines(places[::EVERY], one.box, ROOM_M))
+    mine = shapely.polygons(outlines(places[::EVERY], walker.box, ROOM_M))
     hits = [stands.query(mine, predicate="intersects")[0]]
     for other in beside:
         close = np.hypot(*(other.mean(axis=1) - places[::EVERY, :2]).T) < 4.0
@@ -163,32 +163,34 @@ def _free_until(places: Array, one: Walker, stands: shapely.STRtree, beside: Seq
 
 def _paced(walkers: Sequence[Walker], seed: int) -> list[Walker]:
     """With a speed for everyone, the same for those who go together."""
-    found = [
-        replace(one, speed=one.speed * float(stream(seed, "traffic", "pace", one.name).uniform(1 - SPREAD, 1 + SPREAD)))
-        for one in walkers
+    paced = [
+        replace(
+            walker, speed=walker.speed * stream(seed, "traffic", "pace", walker.name).uniform(1 - SPREAD, 1 + SPREAD)
+        )
+        for walker in walkers
     ]
     for _ in range(3):
-        for i, one in enumerate(found):
+        for i, walker in enumerate(paced):
             together = [
-                other.speed for other in found
-                if math.hypot(other.x - one.x, other.y - one.y) < TOGETHER_M
-                and abs(math.remainder(other.heading - one.heading, 2 * math.pi)) < TOGETHER
+                other.speed for other in paced
+                if math.hypot(other.x - walker.x, other.y - walker.y) < TOGETHER_M
+                and abs(math.remainder(other.heading - walker.heading, 2 * math.pi)) < TOGETHER
             ]  # fmt: skip
-            found[i] = replace(one, speed=min(together))
-    return found
+            paced[i] = replace(walker, speed=min(together))
+    return paced
 
 
-def _way(one: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
+def _way(walker: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
     """Along the pavement that somebody is on, or over the road to the next and along it."""
-    place = np.array([one.x, one.y])
+    position = np.array([walker.x, walker.y])
     for path in ways:
-        s, aside = path.nearest(place)
+        s, aside = path.nearest(position)
         half = path.width / 2
         if abs(float(aside)) < half:
-            back = math.cos(float(path.at(s)[2]) - one.heading) < 0.0
-            if abs(math.sin(float(path.at(s)[2]) - one.heading)) < 0.8:
-                return _along(_turned(path, back), one, half - EDGE_M)
-    ahead = place + np.arange(0.0, CROSSES_M, 0.1)[:, None] * (-math.sin(one.heading), math.cos(one.heading))
+            back = math.cos(float(path.at(s)[2]) - walker.heading) < 0.0
+            if abs(math.sin(float(path.at(s)[2]) - walker.heading)) < 0.8:
+                return _along(_turned(path, back), walker, half - EDGE_M)
+    ahead = position + np.arange(0.0, CROSSES_M, 0.1)[:, None] * (-math.sin(walker.heading), math.cos(walker.heading))
     for k in range(5, len(ahead)):
         for path in ways:
             s, aside = path.nearest(ahead[k])
@@ -196,17 +198,17 @@ def _way(one: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
                 path = _turned(path, rng.random() < 0.5)
                 at = float(path.nearest(ahead[k])[0])
                 behind = path.points[(path.s > at + 0.6) & (path.s < at + BEYOND_M)]
-                start = place - 2.0 * (ahead[1] - ahead[0]) / 0.1
-                return _along(Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), one, 0.0)
+                start = position - 2.0 * (ahead[1] - ahead[0]) / 0.1
+                return _along(Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), walker, 0.0)
     straight = np.stack([ahead[0] - 2.0 * (ahead[1] - ahead[0]) / 0.1, ahead[20]])
-    return _along(Path(rounded(straight, 0.0), 2.0), one, 0.0)
+    return _along(Path(rounded(straight, 0.0), 2.0), walker, 0.0)
 
 
 def _turned(path: Path, back: bool) -> Path:
     return Path(path.points[::-1], path.width) if back else path
 
 
-def _along(path: Path, one: Walker, most: float) -> Way:
-    s, aside = (float(v) for v in path.nearest(np.array([one.x, one.y])))
-    turn = math.remainder(one.heading - float(path.at(s)[2]), 2 * math.pi)
+def _along(path: Path, walker: Walker, most: float) -> Way:
+    s, aside = (float(v) for v in path.nearest(np.array([walker.x, walker.y])))
+    turn = math.remainder(walker.heading - float(path.at(s)[2]), 2 * math.pi)
     return Way(path, s, aside, turn, min(-most, aside), max(most, aside))

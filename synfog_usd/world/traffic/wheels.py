@@ -68,24 +68,24 @@ def wheels_of(geometry: Path) -> Wheels | None:
         return None
     discs = _discs(tyre)
     narrow = all(abs(x) < NARROW_M for x, _, _, _ in discs)
-    found: list[dict[str, Part]] = [{} for _ in discs]
+    result: list[dict[str, Part]] = [{} for _ in discs]
     left: dict[str, Part | None] = {}
     for name, part in parts.items():
         if part is None or (name == "chrome" and not narrow):
             continue
         owner = _owners(part, discs)
-        for number, one in enumerate(found):
+        for number, item in enumerate(result):
             if (owner == number).any():
-                one[name] = _some(part, owner == number)
+                item[name] = _some(part, owner == number)
         left[name] = _some(part, owner < 0) if (owner < 0).any() else None
     middles = [y for _, y, _, _ in discs]
     rows = sorted(set(middles), reverse=True)
     wheels = []
-    for (x, y, z, radius), one in zip(discs, found, strict=True):
+    for (x, y, z, radius), item in zip(discs, result, strict=True):
         axle = ("Front", "Rear")[min(rows.index(y), 1)] if len(rows) < 3 else ("Front", "Middle", "Rear")[rows.index(y)]
         side = "" if abs(x) < NARROW_M else ("_Left" if x < 0 else "_Right")
-        wheels.append(Wheel(f"{axle}{side}", (x, y, z), radius, one))
-    wheels.sort(key=lambda one: (-one.axle[1], one.axle[0]))
+        wheels.append(Wheel(f"{axle}{side}", (x, y, z), radius, item))
+    wheels.sort(key=lambda item: (-item.axle[1], item.axle[0]))
     return Wheels(tuple(wheels), left, max(middles) - min(middles))
 
 
@@ -136,10 +136,10 @@ def _discs(tyre: Part) -> list[tuple[float, float, float, float]]:
     for low, high in boxes:
         x, y, z = (round(float(v), 3) for v in (low + high) / 2)
         radius = float(high[2] - low[2]) / 2
-        same = next((one for one in discs if np.hypot(one[0] - x, one[1] - y) < 0.8 * radius), None)
+        same = next((item for item in discs if np.hypot(item[0] - x, item[1] - y) < 0.8 * radius), None)
         if radius < 0.4 * largest or same:
             continue
-        row = next((one[1] for one in discs if abs(one[1] - y) < 0.02), y)
+        row = next((item[1] for item in discs if abs(item[1] - y) < 0.02), y)
         discs.append((x, row, z, radius))
     return discs
 

@@ -93,7 +93,7 @@ def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tra
         names.append("xformOp:scale")
     _order(prim, names)
     if not track.shown.all():
-        shown = ["inherited" if one else "invisible" for one in track.shown]
+        shown = ["inherited" if item else "invisible" for item in track.shown]
         _sample(layer, _attribute(prim, "visibility", KINDS.Token, "inherited"), codes, shown)
     if p.group == "Vehicles":
         h, up = np.radians(track.heading), np.radians(track.pitch)
@@ -140,45 +140,45 @@ def _refer(prim: Sdf.PrimSpec, parts: str) -> None:
 
 def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
     """What a reference brings to a model whose wheels turn: the wheels, and meshes without them."""
-    made = _begin(path)
+    scratch = _begin(path)
     for name, part in wheels.left.items():
         if part is None:
-            made.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
+            scratch.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
         else:
-            author_mesh(made, Sdf.Path(f"{path}/Geometry/{name}"), part)
-    UsdGeom.Scope.Define(made, f"{path}/Wheels")
+            author_mesh(scratch, Sdf.Path(f"{path}/Geometry/{name}"), part)
+    UsdGeom.Scope.Define(scratch, f"{path}/Wheels")
     for wheel in wheels.wheels:
-        root = UsdGeom.Xform.Define(made, f"{path}/Wheels/{wheel.name}")
+        root = UsdGeom.Xform.Define(scratch, f"{path}/Wheels/{wheel.name}")
         root.AddTranslateOp().Set(Gf.Vec3d(*wheel.axle))
         root.AddRotateZOp().Set(0.0)
         root.AddRotateXOp().Set(0.0)
         for name, part in wheel.parts.items():
             _bound(
-                made,
+                scratch,
                 f"{root.GetPath()}/{name}",
                 part.moved(shift(*(-v for v in wheel.axle))),
                 f"{path}/Materials/{name}",
             )
-    _keep(layer, made, path)
+    _keep(layer, scratch, path)
 
 
 def _begin(path: str) -> Usd.Stage:
     """A stage of its own with an abstract prim."""
-    made = Usd.Stage.CreateInMemory()
-    made.CreateClassPrim(path)
-    return made
+    scratch = Usd.Stage.CreateInMemory()
+    scratch.CreateClassPrim(path)
+    return scratch
 
 
-def _bound(made: Usd.Stage, path: str, part: Part, material: str) -> None:
+def _bound(scratch: Usd.Stage, path: str, part: Part, material: str) -> None:
     """A part as a mesh, with a material that is elsewhere."""
-    prim = author_mesh(made, Sdf.Path(path), part).GetPrim()
+    prim = author_mesh(scratch, Sdf.Path(path), part).GetPrim()
     UsdShade.MaterialBindingAPI.Apply(prim).GetDirectBindingRel().SetTargets([material])
 
 
-def _keep(layer: Sdf.Layer, made: Usd.Stage, path: str) -> None:
+def _keep(layer: Sdf.Layer, scratch: Usd.Stage, path: str) -> None:
     """Take an abstract prim over into a layer."""
     Sdf.CreatePrimInLayer(layer, PARTS).specifier = Sdf.SpecifierClass
-    Sdf.CopySpec(made.GetRootLayer(), path, layer, path)
+    Sdf.CopySpec(scratch.GetRootLayer(), path, layer, path)
 
 
 # -- lamps
@@ -207,14 +207,14 @@ def _author_indicators(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track
         return
     parts += "_indicators"
     if not layer.GetPrimAtPath(parts):
-        made = _begin(parts)
-        made.OverridePrim(f"{parts}/Geometry/{INDICATORS}").SetActive(False)
+        scratch = _begin(parts)
+        scratch.OverridePrim(f"{parts}/Geometry/{INDICATORS}").SetActive(False)
         looks = Sdf.Layer.FindOrOpen(str(rules.model(p.asset).path.with_suffix(".mtl.usda")))
         for side, half in sides.items():
-            material = made.OverridePrim(f"{parts}/Materials/{INDICATORS}_{side}").GetPath()
-            Sdf.CopySpec(looks, f"/{looks.defaultPrim}/Materials/{INDICATORS}", made.GetRootLayer(), material)
-            _bound(made, f"{parts}/Geometry/{INDICATORS}_{side}", half, str(material))
-        _keep(layer, made, parts)
+            material = scratch.OverridePrim(f"{parts}/Materials/{INDICATORS}_{side}").GetPath()
+            Sdf.CopySpec(looks, f"/{looks.defaultPrim}/Materials/{INDICATORS}", scratch.GetRootLayer(), material)
+            _bound(scratch, f"{parts}/Geometry/{INDICATORS}_{side}", half, str(material))
+        _keep(layer, scratch, parts)
     nits = LAMPS["indicator_rear"].nits
     lit = Gf.Vec3f(*(round(nits * part, 1) for part in tint("indicator_rear")))
     for side, way in (("left", 1), ("right", -1)):
@@ -229,7 +229,7 @@ def _author_emission(layer: Sdf.Layer, path: Sdf.Path, lit: Flags, colours: tupl
         return
     over = Sdf.CreatePrimInLayer(layer, path)
     name = _attribute(over, "inputs:emissiveColor", KINDS.Color3f, colours[0 if lit[1] else 1])
-    _sample(layer, name, codes, [colours[0 if one else 1] for one in lit])
+    _sample(layer, name, codes, [colours[0 if item else 1] for item in lit])
 
 
 def _emissions(asset: str, choice: str) -> Mapping[str, Any]:
@@ -238,12 +238,12 @@ def _emissions(asset: str, choice: str) -> Mapping[str, Any]:
     materials = layer.GetPrimAtPath(
         Sdf.Path(f"/{layer.defaultPrim}").AppendVariantSelection("lamps", choice).AppendPath("Materials")
     )
-    found = {}
+    result = {}
     for material in materials.nameChildren if materials else ():
         surface = material.nameChildren.get("Surface")
         if surface and "inputs:emissiveColor" in surface.attributes:
-            found[material.name] = surface.attributes["inputs:emissiveColor"].default
-    return found
+            result[material.name] = surface.attributes["inputs:emissiveColor"].default
+    return result
 
 
 # -- the camera's car
@@ -254,25 +254,25 @@ def _author_cameras(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     views = _views(spec.view, clip.ego)
     ego = layer.GetPrimAtPath(authoring.EGO)
     for name, values in (
-        ("xformOp:translate", [Gf.Vec3d(one.x, one.y, one.z) for one in views]),
-        ("xformOp:rotateXYZ", [Gf.Vec3f(one.tilt, 0, one.heading) for one in views]),
+        ("xformOp:translate", [Gf.Vec3d(item.x, item.y, item.z) for item in views]),
+        ("xformOp:rotateXYZ", [Gf.Vec3f(item.tilt, 0, item.heading) for item in views]),
     ):
         _sample(layer, ego.attributes[name].path, clip.codes, values)
     above = spec.view.z - float(spec.road.height(spec.view.x, spec.view.y))
-    places = {f"{authoring.RIG}/{one.name}": [authoring.rig_place(view, one) for view in views] for one in spec.rig}
+    places = {f"{authoring.RIG}/{item.name}": [authoring.rig_place(view, item) for view in views] for item in spec.rig}
     lamps = [dict(stage.headlights(view, view.z - above)) for view in views]
     for name in lamps[0]:
-        places[f"/World/Lights/Headlights/{name}"] = [one[name] for one in lamps]
+        places[f"/World/Lights/Headlights/{name}"] = [item[name] for item in lamps]
     for path, matrices in places.items():
         prim = layer.GetPrimAtPath(path)
         if prim:
-            values = [Gf.Matrix4d(np.round(one.T, 6).tolist()) for one in matrices]
+            values = [Gf.Matrix4d(np.round(item.T, 6).tolist()) for item in matrices]
             _sample(layer, prim.attributes["xformOp:transform"].path, clip.codes, values)
 
 
 def _views(view: View, track: Track) -> list[View]:
     """The view at each frame; at frame 0 as it was drawn."""
     rows = np.stack([track.x, track.y, track.z, track.heading + view.yaw, view.tilt + track.pitch], axis=1)
-    found = [replace(view, x=x, y=y, z=z, heading=h, tilt=t) for x, y, z, h, t in np.round(rows, 4).tolist()]
-    found[1] = view
-    return found
+    result = [replace(view, x=x, y=y, z=z, heading=h, tilt=t) for x, y, z, h, t in np.round(rows, 4).tolist()]
+    result[1] = view
+    return result
