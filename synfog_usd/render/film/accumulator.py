@@ -25,6 +25,7 @@ from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
 from synfog_usd.render.dualbuffer import mottle
+from synfog_usd.render.film import fireflies
 from synfog_usd.render.load import MitsubaScene
 
 CHUNK = 16
@@ -85,6 +86,9 @@ AOVS = {
     DIRECT: (DIRECT,),
 }
 """Which AOVs each estimator adds to."""
+
+WITH_FIREFLIES = (INSCATTERED_OF_LAMPS,)
+"""Estimators whose fireflies are kept apart in a picture that will be denoised, see `fireflies`."""
 
 ESTIMATOR_COST = {
     SURFACE: 1.0,
@@ -191,6 +195,8 @@ class Estimator:
         counts: (H, P) samples of each half of each pixel.
         lanes: (P,) of each pixel; None where they are as many as the samples.
         cut: the squares in which groups are kept, or None.
+        fireflies: name -> (H, P, C) what lanes brought beyond their limit; empty where there is none.
+        level: mean luminance of a path, by which the limit goes; 0 before the first.
     """
 
     aovs: dict[str, Array]
@@ -199,14 +205,19 @@ class Estimator:
     counts: Indices
     lanes: Indices | None = None
     cut: Squares | None = None
+    fireflies: dict[str, Array] = field(default_factory=dict)
+    level: float = 0.0
 
     def number(self) -> Array:
         """(P, 1) samples, 1 at least, as the type of `squares`."""
         return np.maximum(self.counts.sum(axis=0), 1)[:, None].astype(self.squares.dtype)
 
     def total(self, name: str) -> Array:
-        """(P, C) sum of an AOV over both halves, as the type of `squares`."""
-        return self.aovs[name].sum(axis=0, dtype=self.squares.dtype)
+        """(P, C) sum of an AOV over both halves, fireflies and all, as the type of `squares`."""
+        sums = self.aovs[name].sum(axis=0, dtype=self.squares.dtype)
+        if name in self.fireflies:
+            sums += self.fireflies[name].sum(axis=0, dtype=self.squares.dtype)
+        return sums
 
     def mean(self) -> Array:
         """(P, C)."""
@@ -283,22 +294,40 @@ class Accumulator:
         return None if ALL in self.estimators or name == DIRECT else np.zeros((self.pixels, len(self.weights)))
 
     def halves(self, component: str) -> FloatArray:
-        """(2, P, C) mean of one of `component_halves` in each half, where they are kept apart."""
+        """(2, P, C) mean of one of `component_halves` in each half, where they are kept apart; fireflies spread out."""
         halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
         for name, estimator in self.estimators.items():
             for aov, sums in estimator.aovs.items():
                 if component == (LIT if name == LIT else aov):
-                    halves += sums / np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+                    number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+                    halves += sums / number
+                    if aov in estimator.fireflies:
+                        halves += self._spread_out(name, estimator.fireflies[aov] / number)
         return halves
+
+    def _spread_out(self, name: str, light: FloatArray) -> FloatArray:
+        """(2, P, C) fireflies of an estimator, in the shape of all light of its lamps that the fog scatters."""
+        like = self._smooth(name)
+        if LAMPS in self.estimators:
+            like += self._smooth(LAMPS)
+        return np.stack([fireflies.spread_out(one, shape, self.shape) for one, shape in zip(light, like, strict=True)])
+
+    def _smooth(self, name: str) -> FloatArray:
+        """(2, P) luminance of an estimator in each half, without its fireflies."""
+        estimator, weights = self.estimators[name], np.asarray(self.weights, dtype=np.float32)
+        number = np.maximum(estimator.counts, 1).astype(np.float32)
+        return np.asarray(sum(sums @ weights for sums in estimator.aovs.values()) / number)
 
     def luminance_halves(self, *names: str) -> FloatArray:
         """(2, H, W) luminance of some estimators' light in each half; of all where none is named."""
         halves = np.zeros((HALVES, self.pixels), dtype=np.float32)
         weights = np.asarray(self.weights, dtype=np.float32)
         for name in names or self.estimators:
+            halves += self._smooth(name)
             estimator = self.estimators[name]
-            number = np.maximum(estimator.counts, 1).astype(np.float32)
-            halves += sum(sums @ weights for sums in estimator.aovs.values()) / number
+            if estimator.fireflies:
+                number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+                halves += self._spread_out(name, sum(estimator.fireflies.values()) / number) @ weights
         return halves.reshape(HALVES, *self.shape)
 
     def component_halves(self, height: int, width: int) -> dict[str, Callable[[], FloatArray]]:
@@ -322,6 +351,7 @@ class Accumulator:
         mean = self.aov(name)
         for estimator in self.estimators.values():
             estimator.aovs.pop(name, None)
+            estimator.fireflies.pop(name, None)
         return mean
 
     def take_group(self, cut: Squares | None = None) -> dict[str, Array]:
@@ -475,7 +505,8 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
     is not resolved.
 
     Args:
-        denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT.
+        denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT, and fireflies
+            apart.
     """
     groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
     shape, camera = (pixels, bands.count), integrator.loaded.source.camera
@@ -483,6 +514,7 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
     def empty(estimator: str) -> Estimator:
         cut = Squares(camera.width_px, camera.height_px) if denoised and groups and estimator != DIRECT else None
         lit = (math.prod(cut.shape), bands.count) if cut else shape
+        apart = denoised and estimator in WITH_FIREFLIES
         return Estimator(
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]},
             np.zeros(shape, dtype=np.float32),
@@ -490,6 +522,7 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
             cut,
+            {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]} if apart else {},
         )
 
     return Accumulator(
@@ -608,21 +641,38 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
     def lanes(colour: Any, kind: Any) -> Array:
         return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
 
-    for target, aov in zip(estimator.aovs.values(), moments.aovs, strict=True):
-        for half, lane in zip(
-            halves, lanes(aov, target.dtype), strict=True
-        ):  # chunk by chunk: the order of the sum is fixed
-            target[half, at] += lane
+    light = {
+        aov: lanes(colour, estimator.aovs[aov].dtype) for aov, colour in zip(estimator.aovs, moments.aovs, strict=True)
+    }
+    for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
+        estimator.squares[at] += lane**2 / count
+    if estimator.fireflies:
+        within_limit = _within_limit(accumulated, estimator, sum(light.values()), count, pixels)
+    for aov, lit in light.items():  # chunk by chunk: the order of the sum is fixed
+        for number, half in enumerate(halves):
+            if estimator.fireflies:
+                kept = lit[number] * within_limit[number]
+                estimator.fireflies[aov][half, at] += lit[number] - kept
+                estimator.aovs[aov][half, at] += kept
+            else:
+                estimator.aovs[aov][half, at] += lit[number]
     for target, colour in zip(estimator.groups, moments.groups, strict=True):
         for lane in lanes(colour, target.dtype):
             if estimator.cut:
                 estimator.cut.add(target, pixels, lane)
             else:
                 target[at] += lane
-    for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
-        estimator.squares[at] += lane**2 / count
     if estimator.lanes is not None:
         estimator.lanes[at] += len(halves)
     for half in halves:
         estimator.counts[half, at] += count
     accumulated.lost += int(np.array(moments.lost).sum())
+
+
+def _within_limit(accumulated: Accumulator, estimator: Estimator, light: Array, count: int, pixels: Indices) -> Array:
+    """(lanes, P, 1) share of the light of lanes (lanes, P, C), each of `count` paths, that is no firefly."""
+    luminance = np.maximum(light @ np.asarray(accumulated.weights, dtype=light.dtype), 0.0)
+    if estimator.level == 0.0:
+        estimator.level = fireflies.mean_below(luminance, count)
+    limit = fireflies.limit(estimator.level, count, int(estimator.counts[:, pixels[0]].sum()))
+    return np.minimum(limit / np.maximum(luminance, max(limit, 1e-30)), 1.0)[..., None].astype(light.dtype)
