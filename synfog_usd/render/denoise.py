@@ -49,20 +49,6 @@ AIRLIGHT = "airlight"
 NOISELESS = (DIRECT,)
 """Components that are added as they are."""
 
-LIT_NEARBY_PX = 2
-"""For `LIT` what `dualbuffer.NEARBY_PX` is for the others: it is light of images of lamps in paint and glass, each a
-pixel or two wide, which a denoiser takes for outliers, and has little noise elsewhere.
-"""
-
-LIT_MOST_GIVEN = 4.0
-"""The same for `dualbuffer.MOST_GIVEN`.
-
-Crossing at dusk, clear, 192x108, five seeds, `LIT` denoised with the surfaces' other light, and apart with these:
-bias of blocks of 32 x 32 px 2.4 and 1.1 % (of 32 samples), 2.0 and 1.8 % (4); error of the median pixel 7.5 and 6.5,
-15.8 and 14.0 %; RMS error 23.8 and 25.6, 60.7 and 62.7 %, without the worst hundredth 16.0 and 15.7, 32.4 and 31.3 %.
-With 10 instead 32 samples have a bias of 0.55 % and an RMS error of 28.7 %, with 2 they have 2.1 and 22.9 %.
-"""
-
 FAINT_SURFACE = 0.02
 """Transmittance below which the surface AOV is divided by this instead.
 
@@ -185,8 +171,7 @@ def denoise_halves(
             cleaned = np.empty_like(pair)
             for half, noisy_half in enumerate(pair):
                 cleaned[half] = denoise({name: noisy_half}, guides, quick=quick)[name]
-            nearby = (LIT_NEARBY_PX, LIT_MOST_GIVEN) if name == LIT else (dualbuffer.NEARBY_PX, dualbuffer.MOST_GIVEN)
-            finished = dualbuffer.towards_truth(pair, cleaned, weights, *nearby)
+            finished = dualbuffer.towards_truth(pair, cleaned, weights, nearby=name == LIT)
         noisy, done = noisy + pair @ weights, done + finished @ weights
         part = SURFACE if name == LIT else name
         components[part] = components.get(part, np.float32(0.0)) + finished.mean(axis=0)

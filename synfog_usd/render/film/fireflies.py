@@ -75,4 +75,6 @@ def spread_out(fireflies: Array, like: Array, shape: tuple[int, int]) -> Array:
         return ndimage.gaussian_filter(binned(picture, step), blur, mode="nearest", truncate=3.0)
 
     ratio = wide(fireflies.reshape(*shape, -1)) / wide(fine)
-    return np.asarray(fine * spread(ratio, step, shape), dtype=np.float32).reshape(fireflies.shape)
+    light = np.asarray(fine * spread(ratio, step, shape), dtype=np.float32).reshape(fireflies.shape)
+    before, after = (picture.sum(axis=0, dtype=np.float64) for picture in (fireflies, light))
+    return light * np.where(after > 0.0, before / np.maximum(after, 1e-30), 1.0).astype(np.float32)

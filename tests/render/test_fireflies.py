@@ -1,0 +1,65 @@
+"""Fireflies of in-scattered light: none is lost, they take the shape of the other light, and only rare paths count."""
+
+import numpy as np
+import pytest
+from support.parts import bulb, rgb, squares
+
+from synfog_usd.render import models
+from synfog_usd.render.film import accumulator, fireflies
+from synfog_usd.render.film.accumulator import HALVES, INSCATTERED_OF_LAMPS, LAMPS, MULTIPLE
+from synfog_usd.render.shot import load
+from synfog_usd.scene.testing import scene, uniform_fog
+
+SHAPE = (45, 80)
+
+
+def test_light_that_is_spread_keeps_its_sum_and_takes_the_shape_of_the_other():
+    """One bright pixel becomes a patch of some W/8 whose light over the other's is smooth; its sum stays."""
+    light = np.zeros((*SHAPE, 3), dtype=np.float32)
+    light[22, 40] = [3.0, 2.0, 1.0]
+    like = np.where(np.arange(SHAPE[1]) % 20 < 10, 1.0, 3.0)[None].repeat(SHAPE[0], axis=0).astype(np.float32)
+    wide = fireflies.spread_out(light.reshape(-1, 3), like.ravel(), SHAPE).reshape(light.shape)
+    assert wide.sum(axis=(0, 1)) == pytest.approx(light.sum(axis=(0, 1)), rel=1e-5)
+    assert wide.max() < 0.05 * light.max()
+    # in the middle of two bands, equally far away, it differs as the other light does
+    assert wide[22, 35, 0] / wide[22, 45, 0] == pytest.approx(3.0, rel=0.25)
+
+
+def test_a_limit_lets_even_light_through_and_grows_as_the_root_of_the_paths():
+    """A lane of 8 paths may bring its own mean and 20 more; 100 times as many paths allow ten times the excess."""
+    assert fireflies.limit(2.0, 8, 0) == pytest.approx(2.0 * (8 + fireflies.TIMES))
+    excess = [fireflies.limit(1.0, 0, paths) for paths in (16, 1600)]
+    assert excess[1] / excess[0] == pytest.approx(10.0)
+    random = np.random.default_rng(3)
+    light = random.exponential(8.0, 4000)
+    light[:4] = 1e5
+    assert fireflies.mean_below(light, 8) == pytest.approx(1.0, rel=0.1)  # 12.5 with the four of them
+
+
+def lamp_beside_a_ground():
+    """A bulb a hand's breadth over a grey ground in fog, of which paths find the bright spot beneath it rarely."""
+    grey = {"type": "diffuse", "reflectance": rgb(0.5)}
+    ground = squares([[-30, -5, -2], [30, -5, -2], [30, 55, -2], [-30, 55, -2]], bsdf=grey)
+    world = {"shape_ground": ground, "light_bulb": bulb([0.0, 15.0, -1.9], 50.0, 40.0, 30.0)}
+    return scene(
+        world, [uniform_fog(visibility_m=30.0, half_size=60.0)], fov_x_deg=60.0, width_px=SHAPE[1], height_px=SHAPE[0]
+    )
+
+
+@pytest.mark.usefixtures("mi")
+def test_what_is_kept_apart_and_what_is_left_are_all_light_of_the_samples():
+    """The same paths with fireflies apart and without: the sums agree to single precision, halves to their mean."""
+    loaded = load(lamp_beside_a_ground(), boundaries=False, spectra=False)
+    integrator, pixels = models.make("path", loaded), np.arange(SHAPE[0] * SHAPE[1])
+    apart, whole = (
+        accumulator.new_accumulator(integrator, len(pixels), denoised=denoised) for denoised in (True, False)
+    )
+    for picture in (apart, whole):
+        accumulator.add_samples(picture, integrator, pixels, {LAMPS: 8, INSCATTERED_OF_LAMPS: 8}, 5)
+    sums = apart.estimators[INSCATTERED_OF_LAMPS]
+    assert sum(light.sum() for light in sums.fireflies.values()) > 0.0
+    np.testing.assert_allclose(apart.aov(MULTIPLE), whole.aov(MULTIPLE), rtol=1e-4, atol=1e-6)
+    halves = apart.halves(MULTIPLE)
+    assert halves.shape == (HALVES, len(pixels), 3)
+    assert halves.mean() == pytest.approx(float(whole.halves(MULTIPLE).mean()), rel=0.02)
+    assert halves.max() < whole.halves(MULTIPLE).max()
