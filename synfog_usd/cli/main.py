@@ -286,6 +286,10 @@ def compose(
         float | None, typer.Option(help="Length of a clip in which traffic and people move [s]; 0 for a still.")
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames of the clip a second, 10 if left out.")] = None,
+    traffic: Annotated[
+        Path | None, typer.Option(help="FCD of SUMO (.xml) that drives, in place of the traffic that is drawn.")
+    ] = None,
+    fcd: Annotated[Path | None, typer.Option(help="File for the traffic of the clip as FCD (.xml).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
 ) -> None:
     """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
@@ -293,7 +297,7 @@ def compose(
 
     from synfog_usd.world.compose import compose as draw
 
-    spec = draw(recipe, out, seed=seed, change=change or [], seconds=seconds, fps=fps)
+    spec = draw(recipe, out, seed=seed, change=change or [], seconds=seconds, fps=fps, traffic=traffic, fcd=fcd)
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return

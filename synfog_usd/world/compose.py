@@ -19,6 +19,9 @@ from synfog_usd.world.language import Recipe, load_root
 from synfog_usd.world.roads import crossing_recipe, recipe, roundabout_recipe, stage
 from synfog_usd.world.spec import WorldSpec
 from synfog_usd.world.traffic import motion, write
+from synfog_usd.world.traffic.fcd import driven, seconds_of
+from synfog_usd.world.traffic.fcd import read as read_fcd
+from synfog_usd.world.traffic.fcd import write as write_fcd
 
 DRAWS: Mapping[str, Callable[..., WorldSpec]] = {
     "crossroads": crossing_recipe.draw,
@@ -61,6 +64,8 @@ def compose(
     change: Mapping[str, Any] | Sequence[str] = (),
     seconds: float | None = None,
     fps: float | None = None,
+    traffic: str | os.PathLike[str] | None = None,
+    fcd: str | os.PathLike[str] | None = None,
 ) -> WorldSpec:
     """Draw a world and write it as a stage: the file, and a layer for each department beside it.
 
@@ -77,6 +82,9 @@ def compose(
         change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
         seconds: of the clip [s], 0 to 120; None for what the recipe's `time` says, and 0 for a still.
         fps: frames a second, 1 to 240; None for what the recipe's `time` says.
+        traffic: FCD of SUMO (.xml) with what drives and walks, in place of what the recipe draws in motion; its times
+            are those of the clip where nothing says another length.
+        fcd: file for the same of this clip.
 
     Returns:
         what was drawn, all numbers; of a clip at frame 0.
@@ -89,6 +97,9 @@ def compose(
         change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
+    recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
+    if recorded and seconds is None:
+        seconds = seconds_of(recorded)
     times = [
         f"time.{name}={json.dumps(given)}" for name, given in (("seconds", seconds), ("fps", fps)) if given is not None
     ]
@@ -96,6 +107,10 @@ def compose(
     spec = draw(found, seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
     clip = clip_of(found, spec, seed=seed)
+    if clip is None and (recorded or fcd is not None):
+        raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
+    if clip and recorded:
+        spec, clip = driven(spec, clip, recorded, seed)
 
     def author(place: Path) -> Sdf.Layer:
         layer = stage.author(place, spec, assets=assets)
@@ -104,6 +119,8 @@ def compose(
         return layer
 
     write_layers(out, author)
+    if clip and fcd is not None:
+        write_fcd(values.path_of(fcd, "--fcd"), spec, clip)
     return spec
 
 
