@@ -97,6 +97,9 @@ def compose(
         change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
     if out.suffix not in (".usda", ".usdc", ".usd"):
         raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
+    out_fcd = None if fcd is None else values.path_of(fcd, "--fcd")
+    if out_fcd and out_fcd.suffix != ".xml":
+        raise RecipeError(f"--fcd {out_fcd}: not an XML file by its name; it ends in .xml")
     recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
     if recorded and seconds is None:
         seconds = seconds_of(recorded)
@@ -107,7 +110,7 @@ def compose(
     spec = draw(found, seed=seed)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
     clip = clip_of(found, spec, seed=seed)
-    if clip is None and (recorded or fcd is not None):
+    if clip is None and (recorded or out_fcd):
         raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
@@ -119,8 +122,8 @@ def compose(
         return layer
 
     write_layers(out, author)
-    if clip and fcd is not None:
-        write_fcd(values.path_of(fcd, "--fcd"), spec, clip)
+    if clip and out_fcd:
+        write_fcd(out_fcd, spec, clip)
     return spec
 
 

@@ -1,18 +1,18 @@
 """Traffic as SUMO's floating car data (FCD): read into a street, and written from a clip.
 
 A vehicle's x, y are the middle of its front bumper, a person's its own place [m], in the axes of the stage; `angle` is
-in degrees clockwise from north (+Y); z is told with elevations alone.  Knows nothing of USD.
+in degrees clockwise from north (+Y); z is there with elevations alone.  Knows nothing of USD.
 Source: SUMO's page on FCD output, sumo.dlr.de/docs/Simulation/Output/FCDOutput.html.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
@@ -30,15 +30,17 @@ from synfog_usd.world.traffic.walk import SPEED_M_S
 
 EGO = "ego"
 """The vehicle with this id is the camera's car."""
-MOST, MOST_ROWS = 500, 2_000_000
-"""Vehicles and persons of a file, and their rows."""
+MOST, MOST_ROWS, MOST_BYTES, MOST_OF_A_TAG = 500, 2_000_000, 1 << 30, 1 << 20
+"""Vehicles and persons of a file, their rows, its bytes, and the bytes of one element's start or of a comment."""
 KINDS: Mapping[str, tuple[str, ...]] = {
     "bus": ("bus",), "coach": ("coach",), "truck": ("lorry", "box_truck"), "trailer": ("box_truck",),
-    "delivery": ("van",), "taxi": ("taxi",), "motorcycle": ("motorcyclist",), "moped": ("motorcyclist",),
-    "bicycle": ("cyclist",), "bike": ("cyclist",), "passenger": tuple(CAR),
-    "ped": ("man_walking", "woman_walking", "student"),
+    "delivery": ("van",), "taxi": ("taxi",), "motor": ("motorcyclist",), "moped": ("motorcyclist",),
+    "bicycle": ("cyclist",), "bike": ("cyclist",),
 }  # fmt: skip
-"""Part of a type's name -> models; vehicles of any other type are cars, persons walk."""
+"""Part of a type's name -> models; vehicles of any other type are cars."""
+PERSONS = ("man_walking", "woman_walking", "student")
+RIDERS = ("cyclist", "motorcyclist")
+"""Models of a vehicle with who rides it."""
 
 
 @dataclass
@@ -47,75 +49,135 @@ class Recorded:
 
     Attributes:
         name, type: its id and its type; person: whether it walks.
-        rows: time [s], x, y, z (nan where none is told) [m] and angle [degrees].
+        rows: time [s], x, y, z (nan where the file has none) [m], angle [degrees] and the number of the timestep.
     """
 
     name: str
     type: str
     person: bool
-    rows: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    rows: list[tuple[float, float, float, float, float, int]] = field(default_factory=list)
 
 
 def read(path: Path) -> list[Recorded]:
-    """Everybody in a file, by id.
+    """Everybody in a file, by id.  Who sits in a vehicle is left out.
 
     Raises:
-        RecipeError: it cannot be read, is no FCD, or tells no number where one is needed; says where.
+        RecipeError: it cannot be read, is no FCD, is too large, or lacks a number; says where.
     """
-    found: dict[tuple[bool, str], Recorded] = {}
-    count = 0
-    for time, element in _elements(path):
-        if element.get("vehicle"):  # a person who rides in it
-            continue
-        name = element.get("id", "")
-        where = f"{path}: {element.tag} {name!r} at time {time:g}"
-        x, y, angle = (_number(element, key, where) for key in ("x", "y", "angle"))
-        z = _number(element, "z", where) if "z" in element.attrib else math.nan
-        person = element.tag == "person"
-        one = found.setdefault((person, name), Recorded(name, element.get("type", ""), person))
-        if one.rows and time <= one.rows[-1][0]:
-            raise RecipeError(f"{where}: comes twice, or after a later time; write timesteps in their order")
-        one.rows.append((time, x, y, z, angle))
-        count += 1
-        if len(found) > MOST or count > MOST_ROWS:
-            raise RecipeError(f"{path}: more than {MOST} vehicles and persons, or {MOST_ROWS} rows; cut out a part")
-    if not found:
-        raise RecipeError(f"{path}: no vehicle and no person in it; SUMO writes them with --fcd-output")
-    return list(found.values())
-
-
-def _elements(path: Path) -> Iterator[tuple[float, ElementTree.Element]]:
-    """Time [s] and element of every row."""
-    time = math.nan
+    reader = _Reader(path)
     try:
         with path.open("rb") as file:
-            if b"<!" in file.read(4096).replace(b"<!--", b""):
-                raise RecipeError(f"{path}: has a document type or entities, which FCD has not; remove them")
-            file.seek(0)
-            for event, element in ElementTree.iterparse(file, events=("start", "end")):
-                if event == "start" and element.tag == "timestep":
-                    time = _number(element, "time", f"{path}: a timestep")
-                elif event == "end" and element.tag in ("vehicle", "person"):
-                    if math.isnan(time):
-                        raise RecipeError(f"{path}: {element.tag} {element.get('id', '')!r} is in no timestep")
-                    yield time, element
-                elif event == "end" and element.tag == "timestep":
-                    element.clear()
+            size = 0
+            while chunk := file.read(1 << 16):
+                size += len(chunk)
+                reader.parser.Parse(chunk)
+                if size > MOST_BYTES or size - max(reader.parser.CurrentByteIndex, 0) > MOST_OF_A_TAG:
+                    raise reader.fault("an element or the file is too long for FCD; cut out a part")
+            reader.parser.Parse(b"", True)
     except OSError as error:
         raise RecipeError(f"{path}: cannot be read ({error.strerror})") from error
-    except ElementTree.ParseError as error:
-        line, column = error.position
-        raise RecipeError(f"{path}:{line}:{column + 1}: no XML: {error}") from error
+    except expat.ExpatError as error:
+        text = expat.ErrorString(error.code)
+        raise RecipeError(f"{path}:{error.lineno}:{error.offset + 1}: no XML: {text}; write it anew") from error
+    except (LookupError, ValueError) as error:
+        raise reader.fault(f"no XML that can be read ({error}); write it in UTF-8") from error
+    if not reader.everybody:
+        raise RecipeError(f"{path}: no vehicle and no person in it; SUMO writes them with --fcd-output")
+    return list(reader.everybody.values())
 
 
-def _number(element: ElementTree.Element, key: str, where: str) -> float:
-    try:
-        value = float(element.attrib[key])
-    except (KeyError, ValueError):
-        value = math.nan
-    if not abs(value) < 1e7:
-        raise RecipeError(f"{where}: {key} is {element.get(key)!r}; it takes a number")
-    return value
+class _Reader:
+    """Takes a file's elements as they are parsed; keeps numbers alone.
+
+    Attributes:
+        everybody: by whether it is a person, and id.
+        time, step: of the timestep [s], and its number; `inside` where it is open.
+        rows: how many were read; waiting: persons of the timestep, and seats: where its vehicles are.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.everybody: dict[tuple[bool, str], Recorded] = {}
+        self.time, self.step, self.inside, self.rows = -math.inf, -1, False, 0
+        self.waiting: list[tuple[Recorded, tuple[float, float, float, float, float, int]]] = []
+        self.seats: set[tuple[float, float]] = set()
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.StartDoctypeDeclHandler = self.doctype
+
+    def fault(self, text: str) -> RecipeError:
+        """An error at the place where the parser is."""
+        return RecipeError(f"{self.path}:{self.parser.CurrentLineNumber}:{self.parser.CurrentColumnNumber + 1}: {text}")
+
+    def doctype(self, *_: object) -> None:
+        """Refuse what may hold entities, before they are read."""
+        raise self.fault("has a document type, which FCD has not; remove it")
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """A timestep opens, or a row comes."""
+        if tag == "timestep":
+            time = self.number(attributes, "time", "timestep")
+            if time <= self.time:
+                raise self.fault(
+                    f"timestep {time:g} comes after {self.time:g}; write timesteps in their order, each once"
+                )
+            self.time, self.step, self.inside = time, self.step + 1, True
+        elif tag in ("vehicle", "person"):
+            self.row(tag, attributes)
+
+    def end(self, tag: str) -> None:
+        """A timestep closes.  SUMO puts who rides exactly where the vehicle is."""
+        if tag != "timestep":
+            return
+        for person, row in self.waiting:
+            if row[1:3] not in self.seats:
+                self.keep(person, row)
+        self.waiting, self.seats, self.inside = [], set(), False
+
+    def row(self, tag: str, attributes: dict[str, str]) -> None:
+        """One vehicle or person at one time."""
+        name = attributes.get("id", "")
+        label = f"{tag} {name[:40]!r}"
+        if not self.inside:
+            raise self.fault(f"{label} is in no timestep; put it into one")
+        if not name:
+            raise self.fault(f"{tag} has no id; give it one")
+        self.rows += 1
+        if self.rows > MOST_ROWS:
+            raise self.fault(f"more than {MOST_ROWS} rows; cut out a part")
+        if attributes.get("vehicle"):
+            return
+        x, y, angle = (self.number(attributes, key, label) for key in ("x", "y", "angle"))
+        z = self.number(attributes, "z", label) if "z" in attributes else math.nan
+        row = (self.time, x, y, z, angle, self.step)
+        person = Recorded(name, attributes.get("type", ""), tag == "person")
+        if person.person:
+            self.waiting.append((person, row))
+        else:
+            self.seats.add((x, y))
+            self.keep(person, row)
+
+    def keep(self, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
+        """Add a row to those of its vehicle or person."""
+        known = self.everybody.setdefault((new.person, new.name), new)
+        if known.rows and known.rows[-1][0] == self.time:
+            raise self.fault(f"{new.name[:40]!r} comes twice at time {self.time:g}; keep one of them")
+        known.rows.append(row)
+        if len(self.everybody) > MOST:
+            raise self.fault(f"more than {MOST} vehicles and persons; cut out a part")
+
+    def number(self, attributes: dict[str, str], key: str, label: str) -> float:
+        """An attribute that is finite."""
+        if key not in attributes:
+            raise self.fault(f"{label} has no {key}; add it, as SUMO does without --fcd-output.attributes")
+        try:
+            value = float(attributes[key])
+        except ValueError:
+            value = math.nan
+        if not abs(value) < 1e7:
+            raise self.fault(f"{label}: {key} is {attributes[key][:40]!r}; it takes a number between -1e7 and 1e7")
+        return value
 
 
 # -- into a street
@@ -158,6 +220,8 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
         x, y, z, heading, pitch, roll = (
             round(float(getattr(track, k)[1]), 4) for k in ("x", "y", "z", "heading", "pitch", "roll")
         )
+        if not track.shown.any():
+            continue
         tracks[len(placed)] = track
         name = f"{p.asset.title()}_F{len(tracks):03d}"
         placed.append(replace(p, name=name, x=x, y=y, z=z, heading=heading, pitch=pitch, roll=roll))
@@ -165,40 +229,60 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
 
 
 def _model(one: Recorded, rng: np.random.Generator) -> Placement:
-    """A model for a type: of its own name, or of one like it."""
-    asset = one.type if one.type in rules.names() else ""
-    if not asset or (rules.model(asset).group == "person") != one.person:
-        fallback = KINDS["ped"] if one.person else KINDS["passenger"]
-        among = next((models for part, models in KINDS.items() if part in one.type.lower()), fallback)
-        among = fallback if one.person else among
-        asset = among[int(rng.integers(len(among)))]
+    """A model for a type: of its own name where it walks or drives, or of one like it."""
+    models: tuple[str, ...]
+    if one.person:
+        models = (one.type,) if one.type in SPEED_M_S else PERSONS
+    elif one.type in RIDERS or _drives(one.type):
+        models = (one.type,)
+    else:
+        models = next((models for part, models in KINDS.items() if part in one.type.lower()), tuple(CAR))
+    asset = models[int(rng.integers(len(models)))]
     model = rules.model(asset)
     lit = {"lamps": "glow"} if "glow" in model.variants.get("lamps", ()) else {}
     group = "People" if one.person else "Vehicles"
     return Placement(group, "", asset, 0.0, 0.0, 0.0, look(rng, model), lit, speed_m_s=None if one.person else 0.0)
 
 
+def _drives(name: str) -> bool:
+    """Whether it is a model of a vehicle that needs no rider."""
+    return name in rules.names() and rules.model(name).group == "vehicle" and rules.model(name).label != "bicycle"
+
+
 def _ego(spec: WorldSpec, one: Recorded, t: Array) -> Track:
-    """The lens of the camera's car."""
+    """The lens of the camera's car, which has to be there all the time."""
+    first, last = one.rows[0][0], one.rows[-1][0]
+    if t[1] < first - 1e-6 or t[-2] > last + 1e-6:
+        raise RecipeError(
+            f"{EGO!r} is there from {first:g} to {last:g} s, and the clip goes from {t[1]:g} to {t[-2]:g} s; "
+            "cut the file's begin, ask for fewer --seconds, or rename it"
+        )
     above = spec.view.z - float(ground(spec.road, np.array([spec.view.x]), np.array([spec.view.y]))[0])
     track = _track(spec, one, t, OWN_CAR_M[1], z_of=above)
     return replace(track, pitch=track.pitch - track.pitch[1], roll=track.roll * 0.0, shown=np.ones(len(t), dtype=bool))
 
 
 def _track(spec: WorldSpec, one: Recorded, t: Array, ahead: float, *, z_of: float) -> Track:
-    """Where somebody's origin is at times [s], `ahead` [m] behind what the file tells; straight between its rows."""
-    at, x, y, z, angle = np.array(one.rows).T
-    heading = np.unwrap(np.radians(-angle))
-    h = np.interp(t, at, heading)
-    x, y = np.interp(t, at, x) + ahead * np.sin(h), np.interp(t, at, y) - ahead * np.cos(h)
-    floor = ground(spec.road, x, y)
-    z = np.where(np.isnan(z).any(), floor, np.interp(t, at, z)) + z_of
+    """Where an origin is at times [s], `ahead` [m] behind the place in the file; straight between rows.
+
+    It is hidden before its first row, after its last, and over timesteps that it is not in.
+    """
+    rows = np.array(one.rows)
+    rows[:, 4] = np.unwrap(np.radians(-rows[:, 4]))
+    at, step = rows[:, 0], rows[:, 5]
+    longer = _longer(rows, t[2] - t[0])
+    x, y, z, h = (np.interp(t, longer[:, 0], longer[:, k]) for k in range(1, 5))
+    x, y = x + ahead * np.sin(h), y - ahead * np.cos(h)
     pitch, roll = slopes(spec.road, x, y, h)
-    step = np.hypot(np.diff(x), np.diff(y))
-    travel = np.r_[0.0, np.cumsum(step)]
+    flat = any(math.isnan(row[3]) for row in one.rows)
+    z = (ground(spec.road, x, y) if flat else z - ahead * np.tan(np.radians(pitch))) + z_of
+    way = np.hypot(np.diff(x), np.diff(y))
+    travel = np.r_[0.0, np.cumsum(way)]
     speed = np.gradient(travel, t)
     bend = np.clip(np.gradient(h) / np.maximum(np.gradient(travel), 0.05), -0.2, 0.2)
-    shown = (t >= at[0] - 1e-6) & (t <= at[-1] + 1e-6)
+    before = np.searchsorted(at, t + 1e-6, side="right") - 1
+    absent = (np.diff(step, append=step[-1])[before] > 1) & (t > at[before] + 1e-6)
+    shown = (t >= at[0] - 1e-6) & (t <= at[-1] + 1e-6) & ~absent
     shown[0] |= shown[1]
     shown[-1] |= shown[-2]
     return Track(
@@ -207,7 +291,19 @@ def _track(spec: WorldSpec, one: Recorded, t: Array, ahead: float, *, z_of: floa
     )  # fmt: skip
 
 
+def _longer(rows: Array, seconds: float) -> Array:
+    """Rows that go straight on before the first and behind the last, so that speeds at both ends are right."""
+    if len(rows) < 2:
+        return rows
+    before, behind = rows[1] - rows[0], rows[-1] - rows[-2]
+    ends = rows[0] - before * (seconds / before[0]), rows[-1] + behind * (seconds / behind[0])
+    return np.vstack([ends[0], rows, ends[1]])
+
+
 # -- out of a clip
+
+COLUMNS = ("id", "x", "y", "z", "angle", "type", "speed", "slope")
+"""Attributes in SUMO's order: its sumolib reads fast by it."""
 
 
 def write(path: Path, spec: WorldSpec, clip: Clip) -> None:
@@ -219,10 +315,13 @@ def write(path: Path, spec: WorldSpec, clip: Clip) -> None:
     root = ElementTree.Element("fcd-export")
     for frame in range(1, len(clip.codes) - 1):
         step = ElementTree.SubElement(root, "timestep", time=f"{clip.codes[frame] / clip.fps:.3f}")
-        for index, track in [(-1, clip.ego), *sorted(clip.tracks.items())]:
-            if not track.shown[frame] or (index >= 0 and spec.placed[index].asset == "rider"):
-                continue
-            ElementTree.SubElement(step, *_row(spec, index, track, frame))
+        rows = [
+            _row(spec, index, track, frame)
+            for index, track in [(-1, clip.ego), *sorted(clip.tracks.items())]
+            if track.shown[frame] and (index < 0 or spec.placed[index].asset != "rider")
+        ]
+        for tag, row in sorted(rows, key=lambda row: row[0] == "person"):  # in the order of SUMO's schema
+            ElementTree.SubElement(step, tag, row)
     ElementTree.indent(root)
     write_bytes(path, ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n")
 
@@ -231,17 +330,19 @@ def _row(spec: WorldSpec, index: int, track: Track, frame: int) -> tuple[str, di
     person = index >= 0 and spec.placed[index].asset in SPEED_M_S
     name, kind = (EGO, "passenger") if index < 0 else (spec.placed[index].name, spec.placed[index].asset)
     ahead = 0.0 if person else OWN_CAR_M[1] if index < 0 else rules.foot(kind)[3]
+    x, y, z, pitch = (float(column[frame]) for column in (track.x, track.y, track.z, track.pitch))
     h = math.radians(float(track.heading[frame]))
-    z: Any = track.z[frame]
-    if index < 0:
-        z = ground(spec.road, track.x[frame : frame + 1], track.y[frame : frame + 1])[0]
-    told = {
-        "x": track.x[frame] - ahead * math.sin(h),
-        "y": track.y[frame] + ahead * math.cos(h),
-        "z": z,
-        "angle": -track.heading[frame] % 360.0,
-        "speed": abs(track.speed[frame]),
-        "slope": track.pitch[frame] if index >= 0 else 0.0,
+    if index < 0:  # of the car, not of its lens
+        place = np.array([x]), np.array([y])
+        z, pitch = float(ground(spec.road, *place)[0]), float(slopes(spec.road, *place, np.array([h]))[0][0])
+    values = {
+        "x": x - ahead * math.sin(h),
+        "y": y + ahead * math.cos(h),
+        "z": z + ahead * math.tan(math.radians(pitch)),
+        "angle": math.degrees(-h) % 360.0,
+        "speed": abs(float(track.speed[frame])),
+        "slope": pitch,
     }
-    row = {"id": name, "type": kind} | {key: f"{float(value):.4f}" for key, value in told.items()}
-    return ("person" if person else "vehicle"), row
+    row = {"id": name} | {key: f"{value:.4f}" for key, value in values.items()}
+    row["type"] = "cyclist" if kind == "bicycle" else kind
+    return ("person" if person else "vehicle"), {key: row[key] for key in COLUMNS}
