@@ -64,7 +64,7 @@ def read(path: Path) -> list[Recorded]:
     Raises:
         RecipeError: it cannot be read, is no FCD, is too large, or lacks a number; says where.
     """
-    reader = _Reader(path)
+    reader = _FcdReader(path)
     try:
         with path.open("rb") as file:
             size = 0
@@ -86,7 +86,7 @@ def read(path: Path) -> list[Recorded]:
     return list(reader.everybody.values())
 
 
-class _Reader:
+class _FcdReader:
     """Takes a file's elements as they are parsed; keeps numbers alone.
 
     Attributes:
@@ -160,10 +160,10 @@ class _Reader:
 
     def keep(self, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
         """Add a row to those of its vehicle or person."""
-        known = self.everybody.setdefault((new.person, new.name), new)
-        if known.rows and known.rows[-1][0] == self.time:
+        recorded = self.everybody.setdefault((new.person, new.name), new)
+        if recorded.rows and recorded.rows[-1][0] == self.time:
             raise self.fault(f"{new.name[:40]!r} comes twice at time {self.time:g}; keep one of them")
-        known.rows.append(row)
+        recorded.rows.append(row)
         if len(self.everybody) > MOST:
             raise self.fault(f"more than {MOST} vehicles and persons; cut out a part")
 
@@ -185,7 +185,7 @@ class _Reader:
 
 def seconds_of(recorded: list[Recorded]) -> float:
     """From the first time of a file to its last [s]."""
-    return max(one.rows[-1][0] for one in recorded) - min(one.rows[0][0] for one in recorded)
+    return max(mover.rows[-1][0] for mover in recorded) - min(mover.rows[0][0] for mover in recorded)
 
 
 def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> tuple[WorldSpec, Clip]:
@@ -199,7 +199,7 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
     Returns:
         the street at frame 0, and its clip.
     """
-    begin = min(one.rows[0][0] for one in recorded)
+    begin = min(mover.rows[0][0] for mover in recorded)
     t = begin + clip.codes / clip.fps
     placed = [
         p for i, p in enumerate(spec.placed)
@@ -207,14 +207,14 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
     ]  # fmt: skip
     tracks: dict[int, Track] = {}
     ego, view = clip.ego, spec.view
-    for one in recorded:
-        if one.name == EGO and not one.person:
-            ego = _ego(spec, one, t)
+    for mover in recorded:
+        if mover.name == EGO and not mover.person:
+            ego = _ego(spec, mover, t)
             view = replace(view, **{k: round(float(getattr(ego, k)[1]), 4) for k in ("x", "y", "z")},
                            heading=round(float(ego.heading[1]) + view.yaw, 4))  # fmt: skip
             continue
-        p = _model(one, stream(seed, "traffic", "fcd", one.name))
-        track = _track(spec, one, t, 0.0 if one.person else rules.foot(p.asset)[3], z_of=0.0)
+        p = _model(mover, stream(seed, "traffic", "fcd", mover.name))
+        track = _track(spec, mover, t, 0.0 if mover.person else rules.foot(p.asset)[3], z_of=0.0)
         if rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
             track = replace(track, roll=track.roll * 0.0)
         x, y, z, heading, pitch, roll = (
@@ -228,20 +228,20 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
     return replace(spec, placed=tuple(placed), view=view), replace(clip, tracks=tracks, ego=ego)
 
 
-def _model(one: Recorded, rng: np.random.Generator) -> Placement:
+def _model(mover: Recorded, rng: np.random.Generator) -> Placement:
     """A model for a type: of its own name where it walks or drives, or of one like it."""
     models: tuple[str, ...]
-    if one.person:
-        models = (one.type,) if one.type in SPEED_M_S else PERSONS
-    elif one.type in RIDERS or _drives(one.type):
-        models = (one.type,)
+    if mover.person:
+        models = (mover.type,) if mover.type in SPEED_M_S else PERSONS
+    elif mover.type in RIDERS or _drives(mover.type):
+        models = (mover.type,)
     else:
-        models = next((models for part, models in KINDS.items() if part in one.type.lower()), tuple(CAR))
+        models = next((models for part, models in KINDS.items() if part in mover.type.lower()), tuple(CAR))
     asset = models[int(rng.integers(len(models)))]
     model = rules.model(asset)
     lit = {"lamps": "glow"} if "glow" in model.variants.get("lamps", ()) else {}
-    group = "People" if one.person else "Vehicles"
-    return Placement(group, "", asset, 0.0, 0.0, 0.0, look(rng, model), lit, speed_m_s=None if one.person else 0.0)
+    group = "People" if mover.person else "Vehicles"
+    return Placement(group, "", asset, 0.0, 0.0, 0.0, look(rng, model), lit, speed_m_s=None if mover.person else 0.0)
 
 
 def _drives(name: str) -> bool:
@@ -249,32 +249,32 @@ def _drives(name: str) -> bool:
     return name in rules.names() and rules.model(name).group == "vehicle" and rules.model(name).label != "bicycle"
 
 
-def _ego(spec: WorldSpec, one: Recorded, t: Array) -> Track:
+def _ego(spec: WorldSpec, mover: Recorded, t: Array) -> Track:
     """The lens of the camera's car, which has to be there all the time."""
-    first, last = one.rows[0][0], one.rows[-1][0]
+    first, last = mover.rows[0][0], mover.rows[-1][0]
     if t[1] < first - 1e-6 or t[-2] > last + 1e-6:
         raise RecipeError(
             f"{EGO!r} is there from {first:g} to {last:g} s, and the clip goes from {t[1]:g} to {t[-2]:g} s; "
             "cut the file's begin, ask for fewer --seconds, or rename it"
         )
     above = spec.view.z - float(ground(spec.road, np.array([spec.view.x]), np.array([spec.view.y]))[0])
-    track = _track(spec, one, t, OWN_CAR_M[1], z_of=above)
+    track = _track(spec, mover, t, OWN_CAR_M[1], z_of=above)
     return replace(track, pitch=track.pitch - track.pitch[1], roll=track.roll * 0.0, shown=np.ones(len(t), dtype=bool))
 
 
-def _track(spec: WorldSpec, one: Recorded, t: Array, ahead: float, *, z_of: float) -> Track:
+def _track(spec: WorldSpec, mover: Recorded, t: Array, ahead: float, *, z_of: float) -> Track:
     """Where an origin is at times [s], `ahead` [m] behind the place in the file; straight between rows.
 
     It is hidden before its first row, after its last, and over timesteps that it is not in.
     """
-    rows = np.array(one.rows)
+    rows = np.array(mover.rows)
     rows[:, 4] = np.unwrap(np.radians(-rows[:, 4]))
     at, step = rows[:, 0], rows[:, 5]
     longer = _longer(rows, t[2] - t[0])
     x, y, z, h = (np.interp(t, longer[:, 0], longer[:, k]) for k in range(1, 5))
     x, y = x + ahead * np.sin(h), y - ahead * np.cos(h)
     pitch, roll = slopes(spec.road, x, y, h)
-    flat = any(math.isnan(row[3]) for row in one.rows)
+    flat = any(math.isnan(row[3]) for row in mover.rows)
     z = (ground(spec.road, x, y) if flat else z - ahead * np.tan(np.radians(pitch))) + z_of
     way = np.hypot(np.diff(x), np.diff(y))
     travel = np.r_[0.0, np.cumsum(way)]
@@ -286,8 +286,8 @@ def _track(spec: WorldSpec, one: Recorded, t: Array, ahead: float, *, z_of: floa
     shown[0] |= shown[1]
     shown[-1] |= shown[-2]
     return Track(
-        x, y, z, np.degrees(h), pitch * (not one.person), roll * (not one.person), speed, travel - travel[1],
-        bend * (not one.person), np.gradient(speed, t) < BRAKES_M_S2, np.zeros(len(t), dtype=np.int64), shown,
+        x, y, z, np.degrees(h), pitch * (not mover.person), roll * (not mover.person), speed, travel - travel[1],
+        bend * (not mover.person), np.gradient(speed, t) < BRAKES_M_S2, np.zeros(len(t), dtype=np.int64), shown,
     )  # fmt: skip
 
 
