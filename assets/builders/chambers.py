@@ -1,7 +1,7 @@
 """Fog chambers as stages: a closed room with a colour chart, a lamp, a camera, a laser and a power meter.
 
 `write(folder)` writes the shipped ones as text; the same code gives the same bytes.  A chamber is one `Chamber`; what
-`python -m studies.chamber` asks of a stage stands in `studies.chamber`.
+`python -m docs.studies.chamber` asks of a stage stands in `docs.studies.chamber`.
 From a shell: `python -m assets.builders.chambers [folder]`.
 """
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TREE = [
     path.relative_to(ROOT).as_posix()
-    for top in ("synfog_usd", "assets", "docs", "integrations", "pipeline", "stages", "studies", "tests")
+    for top in ("synfog_usd", "assets", "docs", "integrations", "pipeline", "stages", "tests")
     for path in (ROOT / top).rglob("*")
     if "__pycache__" not in path.parts
 ] + [path.name for path in ROOT.iterdir()]
@@ -49,7 +49,7 @@ EXAMPLES = (
 
 STUDIES = {
     f"--{argument.arg.replace('_', '-')}"
-    for path in (ROOT / "studies").glob("*.py")
+    for path in (ROOT / "docs" / "studies").glob("*.py")
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     if isinstance(node, ast.FunctionDef) and node.name == "main"
     for argument in node.args.args

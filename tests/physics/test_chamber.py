@@ -7,7 +7,7 @@ import pytest
 from support.renders import by_seed
 from support.stats import assert_agree
 
-from studies.chamber import chamber, patch_mean, patch_pixels, sample_patches
+from docs.studies.chamber import chamber, patch_mean, patch_pixels, sample_patches
 from synfog_usd.base import resources
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load

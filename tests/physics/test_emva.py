@@ -19,7 +19,7 @@ import pytest
 from scipy import constants
 from support import emva
 
-from studies.sensor_bench import Reading, SensorBench, bench, readings, transfer
+from docs.studies.sensor_bench import Reading, SensorBench, bench, readings, transfer
 from synfog_usd.camera import cfa
 from synfog_usd.camera.profiles import shipped
 

@@ -11,7 +11,7 @@ import math
 
 import pytest
 
-from studies.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
+from docs.studies.camera import FOGS_M, WALL_M, frames_in_fog, noise, stretched, wall_in_fog
 from synfog_usd import camera
 from synfog_usd.base import resources
 from synfog_usd.camera.profiles import load_sensor

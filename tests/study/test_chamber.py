@@ -8,8 +8,8 @@ from pxr import Usd
 from support import cli
 
 from assets.builders import chambers
-from studies import chamber as study
-from studies.chamber import departures, single_into_disc
+from docs.studies import chamber as study
+from docs.studies.chamber import departures, single_into_disc
 from synfog_usd.base import resources
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog.phase import Droplets, HenyeyGreenstein

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from studies import finder
+from docs.studies import finder
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.lab.benchmark import coco, decode, detectors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import cli
 
-from studies.noise import (
+from docs.studies.noise import (
     NUMBERS,
     immerkaer,
     study,

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image as Picture
 from support import cli, raws
 
-from studies import sources, training
+from docs.studies import sources, training
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity

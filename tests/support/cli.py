@@ -34,8 +34,8 @@ def process(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]
 
 
 def study(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """`python -m studies.<name>` in the project's folder, to its end."""
-    words = [sys.executable, "-m", f"studies.{name}", *map(str, arguments)]
+    """`python -m docs.studies.<name>` in the project's folder, to its end."""
+    words = [sys.executable, "-m", f"docs.studies.{name}", *map(str, arguments)]
     root = Path(__file__).resolve().parents[2]
     return subprocess.run(words, capture_output=True, text=True, timeout=300, cwd=root)
 

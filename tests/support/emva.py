@@ -1,6 +1,6 @@
 """A bench after EMVA 1288 that sees nothing but RAW files, and the standard body's own program as the judge.
 
-Frames are taken by `studies.sensor_bench`, written as DNG and read again by
+Frames are taken by `docs.studies.sensor_bench`, written as DNG and read again by
 LibRaw, one site of the colour filter pattern at a time.  The program (`emva1288` on
 PyPI, for release 4.0 of the standard) computes all results; it is told photons and
 exposure times, nothing of the sensor.
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.sensor_bench import SensorBench
+from docs.studies.sensor_bench import SensorBench
 from synfog_usd.camera.writers import write_dng
 
 LEVELS = (0.01, 0.02, 0.035, *np.linspace(0.05, 0.85, 13).tolist())

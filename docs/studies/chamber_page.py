@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from studies.chamber import MODELS, ChamberStudy, LaserRow, departures
+from docs.studies.chamber import MODELS, ChamberStudy, LaserRow, departures
 from synfog_usd.base import files
 
 COLOURS = ("#0b5fa5", "#c1440e", "#12805c", "#7a4fa3")

@@ -25,7 +25,7 @@ import numpy as np
 import typer
 from scipy import ndimage, stats
 
-from studies import command
+from docs.studies import command
 from synfog_usd.base import resources, seeds
 from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import StageError
@@ -636,7 +636,7 @@ def main(
     laser_error: Annotated[float, typer.Option(help="Relative error of the extinction that the laser reads.")] = 1e-3,
 ) -> None:
     """Measure a fog chamber: a laser's extinction, what falls into its meter, and a chart by every model."""
-    from studies import chamber_page
+    from docs.studies import chamber_page
 
     command.writable(out)
     stage = stage or resources.folder("stages") / "chamber.usda"

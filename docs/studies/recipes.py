@@ -1,6 +1,6 @@
 """Pictures of recipes side by side on one sheet.
 
-    python -m studies.recipes docs/images/recipes.jpg FOLDER
+    python -m docs.studies.recipes docs/images/recipes.jpg FOLDER
 
 The folder holds a picture a recipe, `bridge.png` and so on, as a bake leaves them in
 `sky/clear/srgb.png`; docs/develop.md has the commands.

@@ -22,8 +22,8 @@ import numpy as np
 import typer
 from scipy import ndimage
 
-from studies import command
-from studies.sensor_bench import readings
+from docs.studies import command
+from docs.studies.sensor_bench import readings
 from synfog_usd import camera
 from synfog_usd.base import files
 from synfog_usd.base.arrays import Array

@@ -26,8 +26,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from studies import command, networks, training
-from studies.training import TrainingPair
+from docs.studies import command, networks, training
+from docs.studies.training import TrainingPair
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.base.errors import ParameterError

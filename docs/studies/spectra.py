@@ -1,7 +1,7 @@
 """The shipped reflectance spectra, and what they change: their curves, and cards under three lamps in R, G, B and in
 bands.
 
-    python -m studies.spectra docs/images/spectra.png
+    python -m docs.studies.spectra docs/images/spectra.png
 
 The cards are rendered by the project's own renderer, in clear air.
 """

@@ -1,7 +1,7 @@
 """The model library on one sheet: every model from three sides, in clear air under an overcast sky.
 
-    python -m studies.library docs/images/library.png [name ...]
-    python -m studies.library --thumbnails assets/models [name ...]
+    python -m docs.studies.library docs/images/library.png [name ...]
+    python -m docs.studies.library --thumbnails assets/models [name ...]
 
 All models stand on one plain, seen from far away, each scaled to the same room,
 and are rendered in one picture by the project's own renderer.  The thumbnails, which

@@ -1,6 +1,6 @@
 """A suite's table and drawings into a page of the documentation, so that no number is typed by hand.
 
-From a shell: `python -m studies.report OUT docs/speed-accuracy.md`.  Reads
+From a shell: `python -m docs.studies.report OUT docs/speed-accuracy.md`.  Reads
 each `OUT/<stage>/chart.csv` and `notes.txt`, writes the table and the drawings over all
 anew, copies the drawings to `images/` beside the page, and replaces
 what stands between the page's two marks.  Renders nothing.
@@ -20,7 +20,7 @@ from synfog_usd.lab.study import drawing, page
 from synfog_usd.lab.study.chart import write_suite
 from synfog_usd.lab.study.points import TARGETS, Point, lines, read, summary
 
-BEGIN, END = "<!-- suite: written by studies.report; do not edit -->", "<!-- end of suite -->"
+BEGIN, END = "<!-- suite: written by docs.studies.report; do not edit -->", "<!-- end of suite -->"
 
 
 def report(out: Path, document: Path) -> None:
@@ -141,5 +141,5 @@ def _errors(points: Mapping[str, Sequence[Point]]) -> str:
 
 if __name__ == "__main__":
     if len(sys.argv) != 3:
-        sys.exit("usage: python -m studies.report OUT docs/speed-accuracy.md")
+        sys.exit("usage: python -m docs.studies.report OUT docs/speed-accuracy.md")
     report(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,6 +1,6 @@
 """How the camera was checked, drawn: photon transfer, noise in fog, sharpness, colour.
 
-From a shell: `python -m studies.camera docs/images` draws the four pictures
+From a shell: `python -m docs.studies.camera docs/images` draws the four pictures
 of docs/measurements/camera.md anew.  Takes shipped graphs and profiles; what the tests in
 `tests/physics` hold to a bound is computed here or in `study.bench`.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.sensor_bench import photon_transfer, readings, transfer
+from docs.studies.sensor_bench import photon_transfer, readings, transfer
 from synfog_usd import camera
 from synfog_usd.base import files, photometry, resources, seeds
 from synfog_usd.base.arrays import Array

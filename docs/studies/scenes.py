@@ -1,6 +1,6 @@
 """One picture of each scene of a set on one sheet.
 
-python -m studies.scenes OUT docs/images/scenes.jpg
+python -m docs.studies.scenes OUT docs/images/scenes.jpg
 
 OUT is a set as `synfog-usd dataset run` leaves it; docs/develop.md has that of the docs.
 """

@@ -1,6 +1,6 @@
 """What five hundred composed worlds hold: road users by class, their distances, how much of them is hidden.
 
-`python -m studies.worlds [count]` draws `count` worlds (500 if left out)
+`python -m docs.studies.worlds [count]` draws `count` worlds (500 if left out)
 over all road recipes, seed after seed, and prints the tables of docs/worlds.md.
 No stage is written and nothing is rendered.
 """

@@ -26,8 +26,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from studies import command, networks
-from studies.training import shown
+from docs.studies import command, networks
+from docs.studies.training import shown
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import ParameterError, did_you_mean

@@ -28,7 +28,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from studies import command, networks
+from docs.studies import command, networks
 from synfog_usd.base import files, seeds
 from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import OutputError, ParameterError

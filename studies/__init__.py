@@ -1,4 +1,0 @@
-"""What makes the drawings and tables of the documentation again: `python -m studies.<name>`, in the project's folder.
-
-Users of the installed package need none of it.  `command` runs a study's options and writes its files.
-"""
