@@ -45,7 +45,8 @@ def _print_count(definition: SetDefinition, counted: Count) -> None:
     print(f"  scenes    {counted.scenes} ({', '.join(f'{number} {name}' for name, number in counted.splits.items())})")
     print(f"  drawn of  {', '.join(f'{number} {name}' for name, number in counted.sources.items())}")
     print(f"  units     {sum(counted.units.values())} of a scene and lighting: {units}")
-    print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files", flush=True)
+    print(f"  shots     {counted.shots}, as {counted.pictures} pictures in {counted.files} files")
+    print("  hours     are known after the first units: run it, and ask `synfog-usd dataset status OUT`", flush=True)
 
 
 def print_offers() -> None:

@@ -47,7 +47,8 @@ def test_the_verb_counts():
     assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
     assert (printed["scenes"], printed["shots"]) == (6, 48)
-    assert "48, as 48 pictures in 300 files" in run("dataset", "plan", "mini").stdout
+    told = run("dataset", "plan", "mini").stdout
+    assert "48, as 48 pictures in 300 files" in told and "dataset status" in told
 
 
 def test_a_set_that_does_not_ship_is_told():
