@@ -26,7 +26,7 @@ TREE = [
     if "__pycache__" not in path.parts
 ] + [path.name for path in ROOT.iterdir()]
 
-OF_OTHERS = {"--background", "--find-links"}
+OF_OTHERS = {"--background", "--fcd-output", "--find-links"}
 """Options in the pages that belong to other programs."""
 
 EXAMPLES = (
@@ -139,7 +139,7 @@ def test_make_targets_and_modules_exist(page):
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
     lines = [line for block in blocks(text, "sh") for line in block.splitlines()] + spans(text)
     assert {match[1] for line in lines if (match := re.match(r"make ([a-z-]+)", line))} <= targets
-    for module in {*re.findall(r"python -m ((?:synfog_usd|assets)[\w.]*\w)", text)}:
+    for module in {*re.findall(r"python -m ((?:synfog_usd|assets|docs)[\w.]*\w)", text)}:
         path = ROOT / module.replace(".", "/")
         file = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
         assert file.exists(), module

@@ -365,17 +365,19 @@ def test_ctrl_c_ends_everything_and_says_how_to_go_on(tiny, whole, tmp_path):
 
 @pytest.mark.slow
 def test_a_second_run_on_a_folder_is_told(tiny, whole, tmp_path):
-    """Which process has it; the first goes on."""
+    """Which process has it; the first, which is held meanwhile, goes on."""
     out = half(whole, tmp_path)
     child = begun(tiny, out)
     try:
         wait_for(lambda: units_of(child.pid), child)
+        os.kill(child.pid, signal.SIGSTOP)
         watching = subprocess.Popen(command("dataset", "status", out, "--watch"), stdout=subprocess.PIPE, text=True)
         second = made(tiny, out)
         assert second.returncode == 2
         assert f"another run works here (process {child.pid} on" in second.stderr and second.stderr.count("\n") == 1
         assert json.loads(run("dataset", "status", out, "--json").stdout)["running"]
     finally:
+        os.kill(child.pid, signal.SIGCONT)
         _, told = child.communicate(timeout=300)
     assert child.returncode == 0, told
     watched = watching.communicate(timeout=60)[0].splitlines()
