@@ -50,9 +50,7 @@ MOMENT_PX = 4
 """Squares in which moments under WINDOW_PX are kept: smooth enough, and a quarter of the time."""
 
 CAUTION = 3.0
-"""Standard deviations of a moment by which noise is taken for larger than it was measured; 3 and 5 measured alike,
-without it noise comes back.
-"""
+"""Standard deviations of a moment by which noise is taken for larger than it was measured."""
 
 DECISIVE = 0.05
 """Share of a window's sum from which on a single pixel is left out of it: where two rare bright samples meet in one
@@ -63,19 +61,16 @@ AGREED = 2.0
 """Times the smaller of both halves' differences that a pixel may go back at most."""
 
 ERROR_BLUR_PX = 1.0
-"""Blur of the scatter.  With 4 the median pixel was told 1.3 to 3.9 times its error (crossing and bench stages, 4 to 32
-samples), since what is noisy counts for what is quiet beside it; with 1 it is told 0.7 to 1.3 times.
-"""
+"""Standard deviation [px] of the blur of the scatter; a wider one takes noise for that of quiet neighbours."""
 
 NEAR = 1.5
-"""Times by which a pixel's level, blurred against noise, may differ from its own light; 1.3 to 2 measured alike.
+"""Times by which a pixel's level, blurred against noise, may differ from its own light.
 
-Without this limit a lamp's light, and with it an error as large, counts for the dark pixels beside it: before street
-lamps 2.8 to 5 times too much was told.
+Without this limit a lamp's light, and with it an error as large, counts for the dark pixels beside it.
 """
 
 USUAL_RATIO = 3.0
-"""Squared error over squared scatter that is expected where too few pixels tell: 1.9 to 3.3 on the crossing."""
+"""Squared error over squared scatter that is expected where too few pixels tell."""
 
 DOUBT = 2.0
 """Standard errors of a measured ratio at which it counts half."""

@@ -33,13 +33,12 @@ WORTH_A_PROTOTYPE = 50_000
 """Triangles in the instances of a prototype after the first, from which on it is joined once; they take 0.06 s."""
 
 LEAST_TRIANGLES = 64
-"""Of a prototype that is left to places.  Each of 750 000 places took some 11 kB and 0.1 ms, a triangle that is written
-out takes 0.1 kB.
-"""
+"""Of a prototype that is left to places: a place takes 11 kB, and a triangle that is written out 0.1 kB."""
 
 FAR_M = 50.0
-"""Distance from the camera [m] up to which instances are written out all the same: many rays go by what is near, and
-each that goes by an instance pays for it.  On the crossing all trees placed cost rays 10 %, those beyond 70 m 5 %.
+"""Distance from the camera [m] up to which instances are written out all the same.
+
+Many rays go by what is near, and each that goes by an instance pays for it.
 """
 
 ARRAYS = ("normals", "texcoords", "vertex_color")

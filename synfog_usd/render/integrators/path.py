@@ -66,9 +66,7 @@ from synfog_usd.render.spectra.bands import Bands
 from synfog_usd.render.surface import MOST_SPREAD, blur, lit_from, seen_from
 
 RR_DEPTH = 8
-"""Events before Russian roulette, Mitsuba's too.  Measured in MOR 150 under a uniform sky, 1 / (variance x time): 5, 8
-and 16 alike,
-2 and 40 up to a quarter worse."""
+"""Events before Russian roulette, as in Mitsuba; 5 and 16 are as good."""
 
 FAINT = 0.5
 """Share of a path's throughput after the first vertex below which it faces Russian roulette from the first event on."""

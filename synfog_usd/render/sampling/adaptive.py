@@ -29,22 +29,16 @@ from synfog_usd.render.film.accumulator import (
 from synfog_usd.render.integrators.path import FogPath
 
 DENOISER_GAIN = 10.0
-"""Raw noise over the target from which on denoising is not even tried; on the crossing it lowers what differs from seed
-to seed 3 to 7 times.
-"""
+"""Raw noise over the target from which on denoising is not even tried; it lowers noise 3 to 7 times."""
 
 RAW_MOTTLE = 0.7
 """Mottle of a denoised picture over that of its raw samples, at least: 0.7 on a motorway at dusk, 1 on the crossing."""
 
 FIRST = 8
-"""Samples of the first round of a picture that is to be denoised: four in each half.
-
-With eight, the error is told 0.81 to 1.45 times the true one on bench stages and the crossing; with four, 0.82 to 1.41
-times, and they cost nearly the same.
-"""
+"""Samples of the first round of a picture that is to be denoised: four in each half."""
 
 FALL = 0.4
-"""A denoised picture's error falls as this power of its samples, about: 0.3 to 0.5 on the crossing from 4 to 16."""
+"""A denoised picture's error falls as this power of its samples, about."""
 
 LEAST_STRIDE = 1.25
 """Times the samples that it has which a picture gets in another round at least."""
