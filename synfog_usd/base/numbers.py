@@ -235,17 +235,6 @@ def counts_of(text: str, option: str) -> tuple[int, ...]:
     return tuple(int(name) for name in names)
 
 
-def count_of(text: str, option: str) -> int:
-    """A whole number.
-
-    Raises:
-        ParameterError: it is none.
-    """
-    if not text.isdecimal():
-        raise ParameterError(f"{option} {text}: not a whole number")
-    return int(text)
-
-
 def size_of(text: str | None) -> tuple[int, int] | None:
     """Width and height [px] of 640x360; None of None.
 
