@@ -19,6 +19,7 @@ from synfog_usd.base.values import check_words
 from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.plan import AS_AUTHORED
+from synfog_usd.render.load import refusal
 from synfog_usd.stage import mend, rulebook, rules
 from synfog_usd.translate import Exchange, outdoors, why_black
 from synfog_usd.translate.coincident import Overlap, coincident
@@ -105,8 +106,6 @@ def look(
     Raises:
         StageError: the stage cannot be opened at all, or has no such choice.
     """
-    from synfog_usd.render.load import refusal
-
     opened = usd.open_stage(stage, allow=allow)
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     notes: dict[Note, None] = {}
