@@ -4,7 +4,7 @@ Samples are summed in a fixed order.  Mitsuba's own film adds samples
 with atomics, whose order changes from run to run; this sum does not, so the same
 seed gives the same bytes.  With our path tracers a sample's random numbers depend on its
 pixel and its number alone, and samples are summed in chunks of CHUNK: how many
-pixels or chunks are in flight at once makes no difference.
+pixels or chunks are in flight at once makes no difference but to where a firefly begins (`fireflies`).
 
 Samples go to two halves in turn, with random numbers of their own: two pictures that know
 nothing of each other, from which `dualbuffer` tells what denoising leaves.
@@ -196,7 +196,6 @@ class Estimator:
         lanes: (P,) of each pixel; None where they are as many as the samples.
         cut: the squares in which groups are kept, or None.
         fireflies: name -> (H, P, C) what lanes brought beyond their limit; empty where there is none.
-        level: mean luminance of a path, by which the limit goes; 0 before the first.
     """
 
     aovs: dict[str, Array]
@@ -206,7 +205,6 @@ class Estimator:
     lanes: Indices | None = None
     cut: Squares | None = None
     fireflies: dict[str, Array] = field(default_factory=dict)
-    level: float = 0.0
 
     def number(self) -> Array:
         """(P, 1) samples, 1 at least, as the type of `squares`."""
@@ -672,7 +670,6 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
 def _within_limit(accumulated: Accumulator, estimator: Estimator, light: Array, count: int, pixels: Indices) -> Array:
     """(lanes, P, 1) share of the light of lanes (lanes, P, C), each of `count` paths, that is no firefly."""
     luminance = np.maximum(light @ np.asarray(accumulated.weights, dtype=light.dtype), 0.0)
-    if estimator.level == 0.0:
-        estimator.level = fireflies.mean_below(luminance, count)
-    limit = fireflies.limit(estimator.level, count, int(estimator.counts[:, pixels[0]].sum()))
+    level = fireflies.mean_below(luminance, count)  # of these lanes alone: a dark sky says nothing of the street below
+    limit = fireflies.limit(level, count, int(estimator.counts[:, pixels[0]].sum()))
     return np.minimum(limit / np.maximum(luminance, max(limit, 1e-30)), 1.0)[..., None].astype(light.dtype)
