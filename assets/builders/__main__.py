@@ -16,6 +16,7 @@ from assets.builders import bench_stages, chambers, crossing, lamps, skies
 from assets.builders.cars import build_more_cars
 from assets.builders.coachwork import plated
 from assets.builders.homesteads import build_homesteads
+from assets.builders.joints import joints
 from assets.builders.plants import build_country_trees
 from assets.builders.roadside import build_roadside
 from assets.builders.textures import write_textures
@@ -67,7 +68,9 @@ def write(what: str, folder: Path, only: Sequence[str] = ()) -> Iterator[Path]:
 
 def write_nominal(models: Path) -> Path:
     """Write `nominal.json`, one model a line."""
-    rows = [f"  {json.dumps(name)}: {json.dumps(sizes)}" for name, sizes in crossing.nominal().items()]
+    of_people = {name: {"joints": places} for name, places in joints().items()}
+    sizes = crossing.nominal() | of_people
+    rows = [f"  {json.dumps(name)}: {json.dumps(values)}" for name, values in sizes.items()]
     write_bytes(models / "nominal.json", ("{\n" + ",\n".join(rows) + "\n}\n").encode())
     return models / "nominal.json"
 

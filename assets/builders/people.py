@@ -509,7 +509,7 @@ def dressed(
 
 def person_parts(person: Person) -> list[Part]:
     """The triangles of somebody, feet on the ground, one part for each role."""
-    joints = _pose(person)
+    joints = pose(person)
     fields = fields_of(joints, person)
     parts = cut_by_role(fields, joints, (-0.62, -0.75, -0.15), (0.62, 0.95, 1.95), 11000)
     parts = [
@@ -587,7 +587,8 @@ def _shovel(front: Array, back: Array, *, low: float) -> list[Part]:
     ]
 
 
-def _pose(person: Person) -> dict:
+def pose(person: Person) -> dict:
+    """Places of the joints, before the person is scaled [m]."""
     hips = np.array([0.0, 0.0, 0.93])
     lean = turn(-person.lean, "x")[:3, :3]
 

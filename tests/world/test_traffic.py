@@ -18,7 +18,7 @@ from synfog_usd.world.traffic import idm
 from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Street, Vehicle, drive
 from synfog_usd.world.traffic.motion import ground
 from synfog_usd.world.traffic.paths import Path as Line
-from synfog_usd.world.traffic.paths import Route, rounded
+from synfog_usd.world.traffic.paths import Route, StopLine, rounded
 from synfog_usd.world.traffic.walk import SPEED_M_S
 from synfog_usd.world.traffic.wheels import wheels_of
 
@@ -44,6 +44,7 @@ def street(vehicles, route, seconds, people=None):
         np.zeros((steps, 0, 2)) if people is None else people,
         {0: (np.zeros(0), np.zeros(0))},
         DRIVER,
+        np.ones((steps, 1), dtype=bool),
     )
 
 
@@ -58,7 +59,7 @@ def straight(**more):
 def test_a_platoon_stops_at_a_red_signal_without_touching():
     """Eight cars at 14 m/s and 1.2 s stand in a queue before the line, never harder than 0.9 g on the brakes."""
     cars = [car(150.0 - 21.0 * k, 14.0) for k in range(8)]
-    run = drive(street(cars, straight(red=(230.0,)), 40.0), 40.0)
+    run = drive(street(cars, straight(signals=(StopLine(230.0, 0),)), 40.0), 40.0)
     gaps = run.s[:, :-1] - run.s[:, 1:] - 4.4
     assert gaps.min() > 1.0
     assert run.v[-1].max() < 0.05

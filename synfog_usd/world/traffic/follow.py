@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.world.traffic.idm import Driver, acceleration, safe_speed
 from synfog_usd.world.traffic.paths import AT_LINE_M, ZEBRA_LINE_M, GiveWay, Path, Route
 
@@ -110,6 +110,7 @@ class Street:
         people: (K, M, 2) where people are [m] at each step, longer than the run by LOOK_S.
         still: for each route with a vehicle, stations and offsets of what stands near it [m].
         driver: how all of them drive.
+        stops: (K, streets) whether signals say so at each step.
     """
 
     routes: Sequence[Route]
@@ -117,6 +118,7 @@ class Street:
     people: Array
     still: Mapping[int, tuple[Array, Array]]
     driver: Driver
+    stops: Flags
 
     @cached_property
     def used(self) -> dict[int, Indices]:
@@ -196,7 +198,8 @@ class Street:
             fixed, aside = self.still[number]
             blocks = (np.abs(aside[None] - side) < half + 0.05) & (fixed[None] > front[:, None])
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
-            lines = [*route.red, *(gate.s for gate in route.gives_way if self._taken(gate, s, v))]
+            signals = (line.s for line in route.signals if self.stops[step, line.street])
+            lines = [*signals, *(gate.s for gate in route.gives_way if self._taken(gate, s, v))]
             for line in lines:
                 left = (line - front)[:, None]
                 stops = (left > -OVER_LINE_M) & (v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
@@ -249,7 +252,7 @@ def drive(street: Street, seconds: float) -> Run:
     return Run(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
-def _nearest(gap: Array, speed: Array, who: Array, free: Array, velocity: Array | None) -> None:
+def _nearest(gap: Array, speed: Array, who: Indices, free: Array, velocity: Array | None) -> None:
     """Take the nearest of (n, P) obstacles for those who, where it is nearer than what is in `gap`."""
     if not free.size:
         return

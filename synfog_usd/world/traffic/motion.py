@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,8 @@ from synfog_usd.world.spec import Placement, Site, WorldSpec
 from synfog_usd.world.traffic import walk
 from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Vehicle, beside, drive, eased
 from synfog_usd.world.traffic.idm import Driver
-from synfog_usd.world.traffic.paths import Route, footways, routes
+from synfog_usd.world.traffic.paths import Route, crosswalks, footways, routes
+from synfog_usd.world.traffic.signals import MAIN, SIDE, Programme, programme
 
 OWN_WIDTH_M = 1.9
 PEDALS_M_S = (3.8, 5.2)
@@ -99,12 +100,14 @@ class Clip:
         codes: (F,) frames, from -1 to one behind the last: so that shutters open before the first and close after it.
         tracks: what moves, by its number in `WorldSpec.placed`.
         ego: the lens.
+        signals: of each signal that changes, by its number in `WorldSpec.placed`: (F,) whether each lens is lit.
     """
 
     fps: float
     codes: Array
     tracks: Mapping[int, Track]
     ego: Track
+    signals: Mapping[int, Mapping[str, Flags]] = field(default_factory=dict)
 
 
 def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
@@ -121,21 +124,27 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     """
     codes = np.arange(-1.0, frames + 1.0)
     t = codes / fps
-    ways = routes(spec.road, _main_waits(spec))
+    ways = routes(spec.road)
     who, vehicles = _vehicles(spec, ways, pace)
     walkers = _walkers(spec)
     steps = np.arange(0.0, t[-1] + LOOK_S + 2 * STEP_S, STEP_S)
     move = {*walkers, *who, *(rider for rider, _ in _ridden(spec))}
     still = (p for i, p in enumerate(spec.placed) if i not in move and p.group not in PASSED)
     fixed = [rules.footprint(p) for p in still]
-    places = walk.plan(list(walkers.values()), footways(spec.road), [*fixed, *_posts(spec)], steps, pace.seed)
+    phases = _programme(spec, pace.seed)
+    openings = [
+        walk.Opening(way.begin, way.end, phases.walks(way.street, float(steps[-1]))) for way in crosswalks(spec.road)
+    ]
+    obstacles = [*fixed, *_posts(spec)]
+    places = walk.plan(list(walkers.values()), footways(spec.road), obstacles, steps, pace.seed, openings)
     outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(corners), OUTLINE_M) for corners in fixed])
     still_at = beside(ways, {vehicle.route for vehicle in vehicles}, outline)
     vehicles = [
         replace(car, until=eased(ways[car.route].path, car, still_at[car.route], car.v0 * float(t[-1]) + 10.0))
         for car in vehicles
     ]
-    street = Street(ways, vehicles, places[..., :2], still_at, Driver(pace.headway_s, 1.5))
+    stops = np.stack([~phases.lit(street, steps)["green"] for street in (MAIN, SIDE)], axis=1)
+    street = Street(ways, vehicles, places[..., :2], still_at, Driver(pace.headway_s, 1.5), stops)
     run = drive(street, float(t[-1]) + STEP_S)
     tracks: dict[int, Track] = {}
     for number, index in enumerate(who):
@@ -152,15 +161,29 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     for index, bicycle in _ridden(spec):
         if bicycle in tracks:
             tracks[index] = tracks[bicycle]
-    return Clip(fps, codes, {index: track for index, track in tracks.items() if track.moves}, ego)
+    moving = {index: track for index, track in tracks.items() if track.moves}
+    return Clip(fps, codes, moving, ego, _signals(spec, phases, t))
 
 
 # -- who there is
 
 
-def _main_waits(spec: WorldSpec) -> bool:
-    """Whether the signals of a crossing's main street are at red."""
-    return any(p.variants.get("signal") == "red" and abs(p.x) < abs(p.y) for p in spec.placed)
+def _signal_street(p: Placement) -> int:
+    """The street whose traffic a signal of the crossing is for."""
+    return MAIN if abs(p.x) < abs(p.y) else SIDE
+
+
+def _programme(spec: WorldSpec, seed: int) -> Programme:
+    """The cycle of the signals, which begins as they were drawn; without signals it stops nobody."""
+    green = {_signal_street(p) for p in spec.placed if p.variants.get("signal") == "green"}
+    return programme(SIDE if SIDE in green else MAIN, seed)
+
+
+def _signals(spec: WorldSpec, phases: Programme, t: Array) -> dict[int, Mapping[str, Flags]]:
+    """What each signal shows at times [s], where that changes."""
+    signals = [i for i, p in enumerate(spec.placed) if "signal" in p.variants]
+    lit = {i: phases.lit(_signal_street(spec.placed[i]), t) for i in signals}
+    return {i: lenses for i, lenses in lit.items() if any(on.any() and not on.all() for on in lenses.values())}
 
 
 def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[int], list[Vehicle]]:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,8 @@ from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.crossing_actors import STOP, STOP_SIDE
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
+from synfog_usd.world.spec import Site
+from synfog_usd.world.traffic.signals import MAIN, SIDE
 
 STEP_M = 0.5
 SIDEWAYS = 2.9
@@ -36,6 +37,8 @@ ZEBRA_LINE_M = 2.9
 """From the middle of a zebra to where bumpers wait."""
 FOOTWAY_X, FOOTWAY_Y = 8.3, 6.6
 """Middles of the pavements of the crossing's main and side street [m]."""
+ZEBRA_X, ZEBRA_Y = crossing.ZEBRA_SIDE + crossing.ZEBRA_DEPTH / 2, crossing.ZEBRA + crossing.ZEBRA_DEPTH / 2
+"""Middles of the zebras over the side and the main street, from the middle of the crossing [m]."""
 
 
 @dataclass(frozen=True)
@@ -117,37 +120,68 @@ class GiveWay:
 
 
 @dataclass(frozen=True)
+class StopLine:
+    """A line before a signal.
+
+    Attributes:
+        s: of the line, along the route [m].
+        street: whose signal it is, MAIN or SIDE.
+    """
+
+    s: float
+    street: int
+
+
+@dataclass(frozen=True)
+class Crosswalk:
+    """A way for people over a street that has signals.
+
+    Attributes:
+        begin, end: x, y at its two kerbs [m].
+        street: which it crosses, MAIN or SIDE.
+    """
+
+    begin: tuple[float, float]
+    end: tuple[float, float]
+    street: int
+
+
+@dataclass(frozen=True)
 class Route:
     """A lane as it is driven, from one end of the drawn road to another.
 
     Attributes:
         path: its middle.
-        red: stations of lines before a signal at red [m].
+        signals: lines before signals.
         zebras: stations of the middles of zebra crossings [m].
         gives_way: lines before other traffic.
         turns: (from, to) [m] and side, 1 for left and -1 for right, where an indicator blinks.
     """
 
     path: Path
-    red: tuple[float, ...] = ()
+    signals: tuple[StopLine, ...] = ()
     zebras: tuple[float, ...] = ()
     gives_way: tuple[GiveWay, ...] = ()
     turns: tuple[tuple[float, float, int], ...] = field(default=())
 
 
-def routes(site: Any, main_waits: bool) -> list[Route]:
-    """All lanes of a road or junction.
-
-    Args:
-        site: one of ROUTES' kinds.
-        main_waits: whether the signals of a crossing's main street are at red.
-    """
-    return list(ROUTES[type(site)](site, main_waits))
+def routes(site: Site) -> list[Route]:
+    """All lanes of a road or junction, one of ROUTES' kinds."""
+    return list(ROUTES[type(site)](site))
 
 
-def footways(site: Any) -> list[Path]:
+def footways(site: Site) -> list[Path]:
     """The pavements of a road or junction, each one way; who walks there goes both."""
     return list(FOOTWAYS[type(site)](site))
+
+
+def crosswalks(site: Site) -> list[Crosswalk]:
+    """Zebras with signals."""
+    if not isinstance(site, Crossing):
+        return []
+    main, side = crossing.MAIN_HALF, crossing.SIDE_HALF
+    ends = [Crosswalk((-main, sign * ZEBRA_Y), (main, sign * ZEBRA_Y), MAIN) for sign in (-1, 1)]
+    return ends + [Crosswalk((sign * ZEBRA_X, -side), (sign * ZEBRA_X, side), SIDE) for sign in (-1, 1)]
 
 
 def rounded(points: Array, over_m: float = ROUNDED_M) -> Array:
@@ -166,7 +200,7 @@ def rounded(points: Array, over_m: float = ROUNDED_M) -> Array:
 # -- a road
 
 
-def _of_road(road: Road, main_waits: bool) -> Iterator[Route]:
+def _of_road(road: Road) -> Iterator[Route]:
     line = road.reference_line
     s = np.linspace(0.0, line.length, round(line.length / STEP_M) + 1)
     for lane in road.lane_section.of("lane", "bus", "cycle"):
@@ -186,28 +220,31 @@ def _pavements(road: Road) -> Iterator[Path]:
 # -- the crossing
 
 
-def _of_crossing(site: Crossing, main_waits: bool) -> Iterator[Route]:
+def _of_crossing(site: Crossing) -> Iterator[Route]:
     """Straight on: nobody turns."""
     for across, begin, end, stop in (
         (1.76, -crossing.SOUTH, crossing.NORTH, -STOP),
         (-1.8, crossing.NORTH, -crossing.SOUTH, STOP),
     ):
-        yield _straight((across, begin), (across, end), abs(stop - begin), crossing.LANE_M, main_waits)
+        yield _straight((across, begin), (across, end), abs(stop - begin), crossing.LANE_M, MAIN)
     for across, begin, end, stop in (
         (-2.08, -crossing.SIDE, crossing.SIDE, -STOP_SIDE),
         (2.12, crossing.SIDE, -crossing.SIDE, STOP_SIDE),
     ):
-        yield _straight((begin, across), (end, across), abs(stop - begin), crossing.SIDE_HALF, not main_waits)
+        yield _straight((begin, across), (end, across), abs(stop - begin), crossing.SIDE_HALF, SIDE)
 
 
-def _straight(begin: tuple[float, float], end: tuple[float, float], line: float, width: float, red: bool) -> Route:
+def _straight(begin: tuple[float, float], end: tuple[float, float], line: float, width: float, street: int) -> Route:
     path = Path(rounded(np.array([begin, end]), 0.0), width)
-    return Route(path, red=(line + AT_LINE_M,) if red else ())
+    return Route(path, signals=(StopLine(line + AT_LINE_M, street),))
 
 
 def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:
+    """Along the main street they go over the zebras of the side street."""
     for x in (-FOOTWAY_X, FOOTWAY_X):
-        yield Path(rounded(np.array([(x, -crossing.SOUTH), (x, crossing.NORTH)]), 0.0), 3.0)
+        zebra = math.copysign(ZEBRA_X, x)
+        corners = [(x, -FOOTWAY_Y), (zebra, -FOOTWAY_Y), (zebra, FOOTWAY_Y), (x, FOOTWAY_Y)]
+        yield Path(rounded(np.array([(x, -crossing.SOUTH), *corners, (x, crossing.NORTH)]), 1.5), 3.0)
         for y in (-FOOTWAY_Y, FOOTWAY_Y):
             yield Path(rounded(np.array([(x, y), (math.copysign(crossing.SIDE, x), y)]), 0.0), 2.0)
 
@@ -215,7 +252,7 @@ def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:
 # -- a roundabout
 
 
-def _of_roundabout(site: Roundabout, main_waits: bool) -> Iterator[Route]:
+def _of_roundabout(site: Roundabout) -> Iterator[Route]:
     """From every arm to every other one."""
     n = len(site.arms)
     for i in range(n):
@@ -267,12 +304,12 @@ def _of_roundabout_pavements(site: Roundabout) -> Iterator[Path]:
         yield Path(rounded(middle, 1.0), site.pavement)
 
 
-ROUTES: Mapping[type, Callable[[Any, bool], Iterator[Route]]] = {
+ROUTES: Mapping[type, Callable[..., Iterator[Route]]] = {
     Road: _of_road,
     Crossing: _of_crossing,
     Roundabout: _of_roundabout,
 }
-FOOTWAYS: Mapping[type, Callable[[Any], Iterator[Path]]] = {
+FOOTWAYS: Mapping[type, Callable[..., Iterator[Path]]] = {
     Road: _pavements,
     Crossing: _of_crossing_pavements,
     Roundabout: _of_roundabout_pavements,

@@ -39,6 +39,12 @@ EDGE_M = 0.35
 CROSSES_M = 16.0
 """Longest way over a road that is looked for."""
 BEYOND_M = 25.0
+CROSSING_M = 0.8
+"""By which people go aside on their way over a road."""
+KERB_M = 0.35
+"""Between who waits and the kerb."""
+PAUSES_S = (2.0, 4.0, 8.0, np.inf)
+"""How long somebody stands still who can go no other way."""
 EVERY = 2
 """Room is asked for at each step with a number divisible by it."""
 
@@ -63,6 +69,20 @@ class Walker:
 
 
 @dataclass(frozen=True)
+class Opening:
+    """A way over a road, and when it is open.
+
+    Attributes:
+        begin, end: x, y at its two kerbs [m].
+        times: from when to when people may set out [s], in their order.
+    """
+
+    begin: tuple[float, float]
+    end: tuple[float, float]
+    times: Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
 class Way:
     """A walker's path, and where on it they are at first.
 
@@ -70,6 +90,7 @@ class Way:
         path: as it is walked.
         s, aside: of the walker [m]; turn: heading beyond the path's [rad].
         least, most: offsets between which it may be walked [m].
+        kerbs: stations [m] with the times at which one may go on from there [s], in their order.
     """
 
     path: Path
@@ -78,6 +99,26 @@ class Way:
     turn: float
     least: float
     most: float
+    kerbs: Sequence[tuple[float, Sequence[tuple[float, float]]]] = ()
+
+    def travel(self, speed: float, times: Array) -> Array:
+        """(K,) how far one is at times [s] at a speed [m/s] who waits at kerbs until the way is open."""
+        t, gone = [0.0], [0.0]
+        for kerb, opens in self.kerbs:
+            arrives = t[-1] + (kerb - self.s - gone[-1]) / speed
+            t.append(arrives)
+            gone.append(kerb - self.s)
+            begins = next((begin for begin, end in opens if arrives < end), math.inf)
+            if begins > arrives:
+                t.append(min(begins, float(times[-1]) + arrives + 1.0))
+                gone.append(gone[-1])
+            if begins == math.inf:
+                break
+        else:
+            t.append(t[-1] + float(times[-1]) + 1.0)
+            gone.append(gone[-1] + speed * (t[-1] - t[-2]))
+        limit = max(self.path.length - self.s - 0.5, 0.0)
+        return np.minimum(np.interp(times, t, gone), limit)
 
     def position(self, travel: Array, shift: float) -> Array:
         """(K, 3) x, y [m] and heading [rad] after so much of the way [m], gone over to a side by `shift` [m]."""
@@ -88,12 +129,19 @@ class Way:
         return np.stack([x, y, h - lean + self.turn * np.exp(-travel / 1.5)], axis=-1)
 
 
-def plan(walkers: Sequence[Walker], ways: Sequence[Path], fixed: Sequence[Array], times: Array, seed: int) -> Array:
+def plan(
+    walkers: Sequence[Walker],
+    ways: Sequence[Path],
+    fixed: Sequence[Array],
+    times: Array,
+    seed: int,
+    openings: Sequence[Opening] = (),
+) -> Array:
     """Where everyone is at even steps of time.
 
     Args:
         walkers: at the beginning.
-        ways: pavements.
+        ways: pavements; openings: where they lead over roads with signals.
         fixed: (4, 2) outlines of what stands [m].
         times: (K,) [s], from 0.
         seed: of speeds and turns.
@@ -102,7 +150,10 @@ def plan(walkers: Sequence[Walker], ways: Sequence[Path], fixed: Sequence[Array]
         (K, M, 4) x, y [m], heading [rad] and the way that was walked [m].
     """
     walkers = _paced(walkers, seed)
-    routes = [_way(walker, ways, stream(seed, "traffic", "walker", walker.name)) for walker in walkers]
+    routes = [
+        _stopped(_way(walker, ways, stream(seed, "traffic", "walker", walker.name)), walker, openings)
+        for walker in walkers
+    ]
     result = np.zeros((len(times), len(walkers), 4))
     for number, walker in enumerate(walkers):
         result[:, number, :3] = walker.x, walker.y, walker.heading
@@ -128,10 +179,9 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
 
 def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
-    limit = max(way.path.length - way.s - 0.5, 0.0)
     farthest = 0
     for slower in SLOWER:
-        travel = np.minimum(walker.speed * slower * times, limit)
+        travel = way.travel(walker.speed * slower, times)
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
@@ -139,10 +189,15 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, bes
             if free == len(times):
                 return np.c_[way.position(travel, shift), travel]
             farthest = max(farthest, free)
-    for stop in range(farthest - EVERY, 0, -EVERY):  # stand still before what is in the way
-        travel = np.minimum(walker.speed * times, walker.speed * times[stop])
-        if _free_until(way.position(travel, 0.0), walker, stands, beside) == len(times):
-            return np.c_[way.position(travel, 0.0), travel]
+    usual = way.travel(walker.speed, times)
+    for stop in range(farthest - EVERY, 0, -EVERY):  # stand still before what is in the way, and go on if it is gone
+        for pause in PAUSES_S:
+            travel = np.where(times < times[stop], usual, np.interp(times - pause, times, usual, usual[0]))
+            travel = np.maximum.accumulate(
+                np.where(times < times[stop] + pause, np.minimum(travel, usual[stop]), travel)
+            )
+            if _free_until(way.position(travel, 0.0), walker, stands, beside) == len(times):
+                return np.c_[way.position(travel, 0.0), travel]
     travel = np.zeros(len(times))
     return np.c_[np.tile((walker.x, walker.y, walker.heading), (len(times), 1)), travel]
 
@@ -199,9 +254,22 @@ def _way(walker: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
                 at = float(path.nearest(ahead[k])[0])
                 behind = path.points[(path.s > at + 0.6) & (path.s < at + BEYOND_M)]
                 start = position - 2.0 * (ahead[1] - ahead[0]) / 0.1
-                return _along(Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), walker, 0.0)
+                return _along(
+                    Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), walker, CROSSING_M
+                )
     straight = np.stack([ahead[0] - 2.0 * (ahead[1] - ahead[0]) / 0.1, ahead[20]])
     return _along(Path(rounded(straight, 0.0), 2.0), walker, 0.0)
+
+
+def _stopped(way: Way, walker: Walker, openings: Sequence[Opening]) -> Way:
+    """A way with the kerbs that it leaves ahead of who walks it."""
+    kerbs = []
+    for opening in openings:
+        s, aside = way.path.nearest(np.array([opening.begin, opening.end]))
+        station = float(s.min()) - KERB_M - walker.box[3]
+        if (np.abs(aside) < way.path.width / 2).all() and station >= way.s:
+            kerbs.append((station, opening.times))
+    return replace(way, kerbs=sorted(kerbs, key=lambda kerb: kerb[0]))
 
 
 def _turned(path: Path, back: bool) -> Path:

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Sdf
-from scipy import sparse
 
-from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.arrays import Indices
 from synfog_usd.world.shapes import Part
+from synfog_usd.world.traffic.cutting import pieces, read_part, subset
 
 TURNING = ("tyre", "rim", "chrome")
 """Materials of which wheels have parts: of chrome are spokes."""
@@ -62,7 +62,7 @@ class Wheels:
 def wheels_of(geometry: Path) -> Wheels | None:
     """The wheels in a layer of meshes, or None where it has no tyres or is no file."""
     layer = Sdf.Layer.FindOrOpen(str(geometry)) if geometry.exists() else None
-    parts = {name: _part(layer, name) for name in TURNING} if layer else {}
+    parts = {name: read_part(layer, name) for name in TURNING} if layer else {}
     tyre = parts.get("tyre")
     if tyre is None:
         return None
@@ -76,8 +76,8 @@ def wheels_of(geometry: Path) -> Wheels | None:
         owner = _owners(part, discs)
         for number, item in enumerate(result):
             if (owner == number).any():
-                item[name] = _some(part, owner == number)
-        left[name] = _some(part, owner < 0) if (owner < 0).any() else None
+                item[name] = subset(part, owner == number)
+        left[name] = subset(part, owner < 0) if (owner < 0).any() else None
     middles = [y for _, y, _, _ in discs]
     rows = sorted(set(middles), reverse=True)
     wheels = []
@@ -93,43 +93,16 @@ def wheels_of(geometry: Path) -> Wheels | None:
 def sides_of(geometry: Path, name: str) -> dict[str, Part]:
     """The mesh of a material in its halves 'left' and 'right'; empty where a layer has none, or is no file."""
     layer = Sdf.Layer.FindOrOpen(str(geometry)) if geometry.exists() else None
-    part = _part(layer, name) if layer else None
+    part = read_part(layer, name) if layer else None
     if part is None:
         return {}
     left = part.points[part.faces, 0].mean(axis=1) < 0.0
-    return {side: _some(part, half) for side, half in (("left", left), ("right", ~left)) if half.any()}
-
-
-def _part(layer: Sdf.Layer, name: str) -> Part | None:
-    mesh = layer.GetPrimAtPath(f"/Geometry/{name}")
-    if not mesh or "normals" not in mesh.attributes:
-        return None
-    points, normals, faces = (
-        np.array(mesh.attributes[key].default) for key in ("points", "normals", "faceVertexIndices")
-    )
-    return Part(
-        points.astype(np.float64), faces.reshape(-1, 3).astype(np.int64), name, None, normals.astype(np.float64)
-    )
-
-
-def _some(part: Part, faces: Array) -> Part:
-    """Some faces of a part, and the points that they use."""
-    used, corners = np.unique(part.faces[faces], return_inverse=True)
-    normals = None if part.normals is None else part.normals[used]
-    return Part(part.points[used], corners.reshape(-1, 3), part.material, None, normals)
-
-
-def _pieces(part: Part) -> tuple[int, Indices]:
-    """How many pieces hang together, and of which each point is."""
-    edges = np.concatenate([part.faces[:, :2], part.faces[:, 1:]])
-    graph = sparse.coo_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(len(part.points),) * 2)
-    count, piece = sparse.csgraph.connected_components(graph, directed=False)
-    return int(count), piece.astype(np.int64)
+    return {side: subset(part, half) for side, half in (("left", left), ("right", ~left)) if half.any()}
 
 
 def _discs(tyre: Part) -> list[tuple[float, float, float, float]]:
     """Middle and radius [m] of each wheel: of every piece of tyre that touches the ground, near ones as one."""
-    count, piece = _pieces(tyre)
+    count, piece = pieces(tyre)
     boxes = [(tyre.points[piece == k].min(axis=0), tyre.points[piece == k].max(axis=0)) for k in range(count)]
     largest = max(high[2] for _, high in boxes)
     discs: list[tuple[float, float, float, float]] = []
@@ -146,7 +119,7 @@ def _discs(tyre: Part) -> list[tuple[float, float, float, float]]:
 
 def _owners(part: Part, discs: list[tuple[float, float, float, float]]) -> Indices:
     """(M,) number of the wheel that each face turns with, -1 for none: the wheel that holds all of its piece."""
-    count, piece = _pieces(part)
+    count, piece = pieces(part)
     owner = np.full(count, -1)
     for number, (x, y, z, radius) in enumerate(discs):
         out = (np.hypot(part.points[:, 1] - y, part.points[:, 2] - z) > radius + WITHIN_M) | (
