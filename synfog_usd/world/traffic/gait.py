@@ -220,12 +220,8 @@ class _Stride:
         first = style.under * self.length - leg.heel[0]
         w = np.clip((u - style.stands) / (1.0 - style.stands), 0.0, 1.0)
         swung = self.length * (3.0 - 2.0 * w) * w * w  # over the ground, at rest at both ends
-        at, angle = np.array(style.pitch).T
-        return (
-            first - self.length * u + swung,
-            np.radians(np.interp(u, at, angle)),
-            (style.lift * self.leg * np.sin(math.pi * w) ** 2),
-        )
+        pitch = np.radians(interpolate.pchip_interpolate(*np.array(style.pitch).T, u))
+        return first - self.length * u + swung, pitch, style.lift * self.leg * np.sin(math.pi * w) ** 2
 
     def hip(self, phase: Array, leg: _Leg) -> Array:
         """Height of the hips [m]: as high as the leg allows that comes down, and a rise between two steps."""
