@@ -66,7 +66,7 @@ VERBS = {
     "selftest": ["--quick"],
     "graph check": [GRAPH],
     "graph show": [GRAPH],
-    "graph run": [GRAPH, "--in", "out/sky/mor150/radiance.exr", "-o", "developed", "--no-cache"],
+    "graph run": [GRAPH, "--in", "out/sky/mor150/radiance.exr", "-o", "developed"],
     "graph explain": ["sensor.gain"],
     "graph schema": [],
     "graph profile": ["sensor"],

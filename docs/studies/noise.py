@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import io
 import math
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,7 +30,6 @@ from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.base.image import Image
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.camera.graph import NodeGraph
-from synfog_usd.camera.graph.cache import Cache
 from synfog_usd.camera.writers import read_exr
 from synfog_usd.cli.progress import shown
 from synfog_usd.lab.benchmark import statistics
@@ -281,15 +279,13 @@ def _shot(
 
     def developed(graph: NodeGraph, seed: int) -> tuple[Array, Array]:
         run = camera.develop(
-            graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="srgb", keep=[adc, "srgb"], cache=cache
+            graph, {"radiance": radiance}, seed=seed, exposure=exposure, until="srgb", keep=[adc, "srgb"]
         )
         return run[adc].pixels[..., 0].astype(np.float64), np.rint(255.0 * run["srgb"].pixels.astype(np.float64)) / 255
 
     quiet = graph.without([node.name for node in graph.nodes.values() if node.op.name in TEMPORAL])
-    with tempfile.TemporaryDirectory(prefix="synfog-usd-") as folder:  # optics are the same in all frames
-        cache = Cache(Path(folder))
-        frames = [developed(graph, seed) for seed in range(FRAMES)]
-        still = developed(quiet, 0)[1]
+    frames = [developed(graph, seed) for seed in range(FRAMES)]
+    still = developed(quiet, 0)[1]
     raw, pictures = np.array([one[0] for one in frames]), np.array([one[1] for one in frames])
 
     chip: Any = graph.profiles["sensor"]

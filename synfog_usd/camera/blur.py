@@ -85,8 +85,6 @@ def diffraction(
     is a fit to blurred 1/f textures with edges, lambda N / pitch <= 1; one wavelength
     per channel costs under 0.05 % of the contrast (3 um, f/2.8 to f/8).
     """
-    if mode != "none" and "wavefront_nm" in image.provenance:
-        raise ImageError("the spots of optics.wavefront have diffraction in them; leave one of the two out")
     weights = spectral_weights(sensor, image.channels)
     wavelengths_nm = weights @ photometry.WAVELENGTHS_NM
     per_nm = 1e-3 * f_number / pixel_pitch_um

@@ -18,10 +18,9 @@ from synfog_usd.camera import fisheye as fisheyes
 from synfog_usd.camera import focus as focused  # noqa: F401
 from synfog_usd.camera import ghosts as ghost  # noqa: F401
 from synfog_usd.camera import graph as engine
-from synfog_usd.camera import wavefront as wavefronts  # noqa: F401
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401
 from synfog_usd.camera.exposure import Exposure, meter
-from synfog_usd.camera.graph import Cache, GraphRun, NodeGraph, Registry
+from synfog_usd.camera.graph import GraphRun, NodeGraph, Registry
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import OPS
 
@@ -88,7 +87,6 @@ def develop(
     until: str | None = None,
     keep: Sequence[str] | None = None,
     progress: Progress = silent,
-    cache: Cache | None = None,
 ) -> GraphRun:
     """Run a graph, metering first where it leaves the exposure to the camera.
 
@@ -101,7 +99,7 @@ def develop(
         seed: of all random streams; each specimen of a rig has its own, by the `specimen` that an image's provenance
             tells.
         exposure: from `meter`; metered on the radiance given here unless said.
-        overrides, until, keep, progress, cache: see `NodeGraph.run`.
+        overrides, until, keep, progress: see `NodeGraph.run`.
 
     Raises:
         GraphError: see `NodeGraph.run` and `meter`.
@@ -122,7 +120,6 @@ def develop(
         until=until,
         keep=keep,
         progress=progress,
-        cache=cache,
     )
 
 

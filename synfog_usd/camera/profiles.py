@@ -40,7 +40,7 @@ DRAWN = 0.02
 """How far the focal length of a lens's drawing may be from the one that the file states."""
 
 SENSOR_WORDS = ("serial", "cfa", "qe")
-LENS_WORDS = ("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing")
+LENS_WORDS = ("distortion", "fisheye", "relative_illumination", "aberrations", "drawing")
 """Keys of a profile that are no single number."""
 
 T = TypeVar("T", "SensorProfile", "LensProfile")
@@ -213,8 +213,6 @@ class LensProfile:
         fisheye_fov_x_deg: horizontal angle of view that a fisheye has on its sensor [degrees]; 0 for none.
         aberration_field_deg, tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um:
             spots by the angle to the axis, as in `optics.aberrations`; () for none.
-        wavefront_field_deg, z4_nm, z6_nm, z8_nm, z10_nm, z11_nm: Zernike coefficients by the angle to the axis, as in
-            `optics.wavefront`; () for none.
         field_deg, relative_illumination: angles to the axis [degrees], rising from 0, and
             the light there [1]; () for none.
         radius_mm, thickness_mm, index, clear_mm: its drawing, face by face, as in `optics.ghosts`; () for none.
@@ -240,12 +238,6 @@ class LensProfile:
     axial_650_um: tuple[float, ...] = ()
     lateral_450_um: tuple[float, ...] = ()
     lateral_650_um: tuple[float, ...] = ()
-    wavefront_field_deg: tuple[float, ...] = ()
-    z4_nm: tuple[float, ...] = ()
-    z6_nm: tuple[float, ...] = ()
-    z8_nm: tuple[float, ...] = ()
-    z10_nm: tuple[float, ...] = ()
-    z11_nm: tuple[float, ...] = ()
     field_deg: tuple[float, ...] = ()
     relative_illumination: tuple[float, ...] = ()
     radius_mm: tuple[float, ...] = ()
@@ -295,8 +287,8 @@ def load_sensor(reference: str, folder: Path = Path()) -> SensorProfile:
 
 
 def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
-    """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`,
-    `wavefront` and `drawing` may be left out.
+    """A lens; see `load_sensor`.  `blades`, `spot_um`, `distortion`, `fisheye`, `relative_illumination`, `aberrations`
+    and `drawing` may be left out.
     """
     reader = _Reader(_find(reference, folder, "lenses"), "lens", LENS_WORDS, LensProfile)
     values = reader.values()
@@ -309,11 +301,9 @@ def load_lens(reference: str, folder: Path = Path()) -> LensProfile:
     values |= reader.lists("drawing", faces | {"clear_mm": Limits(0.0, 1e4)})
     widths = dict.fromkeys(("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um"), Limits(0.0, 1000.0))
     shifts = dict.fromkeys(("lateral_450_um", "lateral_650_um"), Limits(-1000.0, 1000.0))
-    paths = dict.fromkeys(("z4_nm", "z6_nm", "z8_nm", "z10_nm", "z11_nm"), Limits(-1e5, 1e5))
     for key, ranges, names in (
         ("relative_illumination", {"value": Limits(0.0, 2.0)}, {"value": "relative_illumination"}),
         ("aberrations", widths | shifts, {"field_deg": "aberration_field_deg"}),
-        ("wavefront", paths, {"field_deg": "wavefront_field_deg"}),
     ):
         columns = reader.lists(key, {"field_deg": Limits(0.0, 180.0), **ranges}, names)
         values |= columns

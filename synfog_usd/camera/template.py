@@ -50,14 +50,6 @@ LENS_WORDS = """\
 #   lateral_450_um: [0, -1]
 #   lateral_650_um: [0, 1]
 #   source: example
-# wavefront:
-#   field_deg: [0, 40]
-#   z4_nm: [0, 40]
-#   z6_nm: [0, 20]
-#   z8_nm: [0, 30]
-#   z10_nm: [0, 0]
-#   z11_nm: [10, 10]
-#   source: example
 # drawing:
 #   radius_mm: [4.52, 0, 0]
 #   thickness_mm: [1, 0.5, 0]

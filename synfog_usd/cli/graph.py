@@ -14,11 +14,10 @@ import numpy as np
 
 from synfog_usd import camera
 from synfog_usd.base import resources
-from synfog_usd.base.errors import GraphError, OutputError, ParameterError, did_you_mean
+from synfog_usd.base.errors import GraphError, ParameterError, did_you_mean
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import template, writers
-from synfog_usd.camera.graph import Cache, NodeGraph, drawing, reference
-from synfog_usd.camera.graph.cache import default_folder
+from synfog_usd.camera.graph import NodeGraph, drawing, reference
 from synfog_usd.camera.graph.op import Port
 from synfog_usd.camera.graph.schema import schema
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
@@ -51,7 +50,6 @@ def run(words: GraphWords) -> None:
         exposure=exposure,
         until=words.until,
         keep=list(nodes.values()),
-        cache=None if words.no_cache else _cache(words.cache),
     )
     for name, node in nodes.items():
         options = graph.options_of(name) if graph.outputs.get(name) == node else {}
@@ -135,16 +133,6 @@ def _files(graph: NodeGraph, until: str | None) -> dict[str, str]:
     if until is None:
         return dict(graph.outputs)
     return {f"{until}.exr": until} if until in graph.nodes else graph.outputs_of(until) or {f"{until}.exr": until}
-
-
-def _cache(folder: Path | None) -> Cache | None:
-    """The cache of the folder that was named, or the usual one, if that can be had."""
-    if folder is not None:
-        return Cache(folder)
-    try:
-        return Cache(default_folder())
-    except (OutputError, RuntimeError):  # no home, or one that cannot be written
-        return None
 
 
 def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:

@@ -497,14 +497,6 @@ class GraphWords:
         typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng."),
     ] = None
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder in which results of nodes are kept, up to 2 GiB; the user's cache folder if left out.",
-            show_default=False,
-        ),
-    ] = None
-    no_cache: Annotated[bool, typer.Option("--no-cache", help="Run every node, and keep nothing.")] = False
     repair: Annotated[
         bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")
     ] = False
@@ -517,7 +509,7 @@ class GraphWords:
 @graph_app.command("run")
 @options.spread
 def graph_run(words: GraphWords) -> None:
-    """Run a graph on radiance of one's own; what has not changed since an earlier run is not run again."""
+    """Run a graph on radiance of one's own."""
     from synfog_usd.cli import graph as verb
 
     verb.run(words)

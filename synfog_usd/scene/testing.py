@@ -26,6 +26,11 @@ from synfog_usd.scene import Camera, Instance, SceneDict
 LOOK_NORTH = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """Camera at the origin looking along +Y with Z up."""
 
+HALF_WIDTH_M = 5000.0
+"""Of an empty slab.  Light from its sides has crossed so much fog, exp(-25) of it in MOR 600, or comes in under 0.7
+degrees.
+"""
+
 
 def box(half_size: npt.ArrayLike, centre: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Boundary:
     """A box boundary with half sizes [m] along x, y, z."""
@@ -109,7 +114,8 @@ def lamp_in_endless_fog(
 ) -> npt.NDArray[np.float64]:
     """Light of a point lamp that endless fog scattered once, seen from the origin.
 
-    With h the distance of the ray from the lamp and t = D cos(theta) + h tan(eta) along it, dt / r^2 = d(eta) / h, and
+    h is the distance of the ray from the lamp, and t = D cos(theta) + h tan(eta) a place along it.  So
+    dt / r^2 = d(eta) / h.
     L = albedo sigma I / (4 pi h) * integral of exp(-sigma (t + h / cos(eta))) over eta from theta - pi/2 to pi/2.
 
     Args:
@@ -120,13 +126,13 @@ def lamp_in_endless_fog(
     """
     lamp, sigma = np.asarray(lamp_m, dtype=np.float64), medium.sigma_t_per_m
     along = directions @ lamp
-    beside = np.linalg.norm(np.cross(directions, lamp), axis=-1)
-    low = -np.arctan2(along, beside)
+    h = np.linalg.norm(np.cross(directions, lamp), axis=-1)
+    low = -np.arctan2(along, h)
     node, weight = np.polynomial.legendre.leggauss(96)
     half = (np.pi / 2 - low) / 2
     eta = low[..., None] + half[..., None] * (node + 1)
-    tau = sigma * (along[..., None] + beside[..., None] * (np.tan(eta) + 1 / np.cos(eta)))
-    return medium.albedo * sigma * intensity / (4 * np.pi * beside) * half * (np.exp(-tau) @ weight)
+    tau = sigma * (along[..., None] + h[..., None] * (np.tan(eta) + 1 / np.cos(eta)))
+    return medium.albedo * sigma * intensity / (4 * np.pi * h) * half * (np.exp(-tau) @ weight)
 
 
 @dataclass(frozen=True)
@@ -151,22 +157,23 @@ def empty_slab(
     top_m: float = 60.0,
     eye_m: float = 1.5,
     sunk_m: float = 1.0,
-    half_width_m: float = 5000.0,
     zenith_deg: tuple[float, float] = (0.0, 87.0),
     width_px: int = 4,
     height_px: int = 64,
 ) -> EmptySlab:
     """An empty slab and the strip of it between two zenith angles.
 
-    The sides do not matter: what comes from them has crossed sigma_t * half_width_m
-    of fog, exp(-25) in MOR 600, or left a slab 60 m high at 89.3 degrees.
-
     Args:
+        medium: the fog.
+        ground: albedo of the ground, 0 to 1.
+        top_m: height of the slab above the ground [m]; eye_m: that of the camera.
         sunk_m: how far the fog's box reaches below the ground; 0 puts its floor on the ground.
+        zenith_deg: of the strip's ends [degrees].
+        width_px, height_px: of the picture.
     """
     low, high = zenith_deg
     bottom, top = -eye_m, top_m - eye_m
-    s = half_width_m
+    s = HALF_WIDTH_M
     floor = np.array([[-s, -s, bottom], [s, -s, bottom], [s, s, bottom], [-s, s, bottom]])
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [ground] * 3}}
     world = {
@@ -180,7 +187,7 @@ def empty_slab(
     world_scene = scene(world, [fog], width_px=width_px, height_px=height_px, fov_x_deg=fov_x_deg, to_world=matrix)
     directions, weights = pixel_rays(world_scene)
     up = directions[..., 2]
-    slab = solve(medium, bottom_m=bottom, top_m=top, ground=[ground], sky_up=[1.0], sky=[[1.0]])
-    seen = slab.radiance(np.zeros(up.size), up.ravel())[:, 0].reshape(up.shape)
+    slab = solve(medium, bottom_m=bottom, top_m=top, ground=ground)
+    radiance = slab.radiance(np.zeros(up.size), up.ravel()).reshape(up.shape)
     middle = np.degrees(np.arccos((up @ weights).mean(axis=1)))
-    return EmptySlab(world_scene, seen @ weights, middle)
+    return EmptySlab(world_scene, radiance @ weights, middle)

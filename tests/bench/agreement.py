@@ -135,12 +135,12 @@ def transmitted(optical_depth: float, g: float) -> dict[str, float]:
     Source: Meador and Weaver, J. Atmos. Sci. 37 (1980), for Eddington's and the quadrature's two streams; van de Hulst,
     "Multiple Light Scattering" (1980), for thick fog.
     """
-    slab = solve(
-        FogMedium(optical_depth / 60.0, g=g), bottom_m=0.0, top_m=60.0, ground=[0.0], sky_up=[1.0], sky=[[1.0]]
-    )
+    slab = solve(FogMedium(optical_depth / 60.0, g=g), bottom_m=0.0, top_m=60.0, ground=0.0)
+    node, weight = np.polynomial.legendre.leggauss(64)
+    up = (node + 1.0) / 2.0
     scaled = (1.0 - g) * optical_depth
     return {
-        "ours": float(slab.irradiance(np.zeros(1), np.ones(1))[0, 0] / np.pi),
+        "ours": float(slab.radiance(np.zeros(up.size), up) * up @ weight),
         "diffusion": (4.0 / 3.0) / (scaled + 2.0 * EXTRAPOLATION),
         "Eddington": 1.0 / (1.0 + 0.75 * scaled),
         "quadrature": 1.0 / (1.0 + np.sqrt(0.75) * scaled),

@@ -52,7 +52,7 @@ def test_each_form_that_is_commented_out_can_be_put_in(kind, tmp_path):
     wanted = (
         ["qe"] * 3
         if kind == "sensor"
-        else [*("distortion", "fisheye", "relative_illumination", "aberrations", "wavefront", "drawing")]
+        else [*("distortion", "fisheye", "relative_illumination", "aberrations", "drawing")]
     )
     assert [key for key, _ in forms] == wanted
     (tmp_path / "qe.csv").write_text("wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n700,0.2,0.2,0.1\n")

@@ -20,13 +20,6 @@ def run(*arguments):
     return cli.run("graph", *arguments)
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    """The user's cache folder, not the real one."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "synfog-usd"
-
-
 @pytest.fixture
 def radiance(tmp_path):
     """A ramp of 100 to 2000 nits, as the bake writes it."""
@@ -40,7 +33,7 @@ def radiance(tmp_path):
 def test_a_graph_runs_on_a_picture_of_one_s_own(radiance, tmp_path):
     """The graph's outputs are written, the nodes' times are told, and a second run gives the same bytes."""
     for name in ("a", "b"):
-        done = run("run", PIPELINE, "--in", f"radiance={radiance}", "-o", tmp_path / name, "--seed", "5", "--no-cache")
+        done = run("run", PIPELINE, "--in", f"radiance={radiance}", "-o", tmp_path / name, "--seed", "5")
         assert done.returncode == 0, done.stderr
         assert "isp.demosaic" in done.stderr
     for name in ("raw.dng", "srgb.png"):
@@ -65,7 +58,7 @@ def test_a_foreign_picture_needs_no_more_than_the_command_says(tmp_path):
         ("own", (), 4.38, f"{own:.4g} degrees, of 96 pixels"),
         ("fov", ("--fov", "60"), 96 * 1.4e-3 / 2 / np.tan(np.pi / 6), "60 degrees"),
     ):
-        done = run("run", PIPELINE, "--in", picture, "-o", tmp_path / name, "--no-cache", *more)
+        done = run("run", PIPELINE, "--in", picture, "-o", tmp_path / name, *more)
         assert done.returncode == 0 and told in done.stderr, done.stderr
         with tifffile.TiffFile(tmp_path / name / "raw.dng") as file:
             above, below = file.pages[0].tags[34665].value["FocalLength"]
@@ -92,7 +85,7 @@ def test_depth_is_found_in_a_bake_and_in_the_picture_itself(radiance, tmp_path):
     rgb = Image(pixels[..., None].repeat(3, axis=2), ("R", "G", "B"), Quantity.RADIANCE, provenance={"fov_x_deg": 50.0})
     writers.write_exr(folder / "radiance.exr", rgb)
     plane = Image(depth[..., None], ("depth.Z",), Quantity.DATA)
-    arguments = "run", graph, "--in", folder / "radiance.exr", "--until", "focus", "--no-cache", "-o"
+    arguments = "run", graph, "--in", folder / "radiance.exr", "--until", "focus", "-o"
     none = run(*arguments, tmp_path / "none")
     assert none.returncode == 2 and "give --in depth=FILE.exr" in none.stderr and "labels.exr" in none.stderr
     writers.write_exr(tmp_path / "bake" / "labels.exr", plane)
@@ -104,7 +97,7 @@ def test_depth_is_found_in_a_bake_and_in_the_picture_itself(radiance, tmp_path):
     assert abs(light[5] / light[4] - 2.0) < 0.05 or abs(light[4] / light[5] - 2.0) < 0.05
     assert abs(light[45] / light[44] - 1.0) < 0.2
     own = foreign(tmp_path / "own.exr", rgb.pixels, depth)
-    assert "depth: Z of" in run("run", graph, "--in", own, "--fov", "50", "-o", tmp_path / "c", "--no-cache").stderr
+    assert "depth: Z of" in run("run", graph, "--in", own, "--fov", "50", "-o", tmp_path / "c").stderr
     other = run(*arguments, tmp_path / "d", "--in", f"depth={radiance}")
     assert other.returncode == 2 and "no channel depth.Z or Z tells the depth" in other.stderr
 
@@ -153,39 +146,6 @@ def test_show_and_check_tell_the_nodes():
     assert "raw.dng" in run("check", PIPELINE).stdout
 
 
-def ran(done):
-    """Names of the nodes that the table of a run has milliseconds for; the others are cached."""
-    assert done.returncode == 0, done.stderr
-    lines = done.stderr.splitlines()
-    head = next(index for index, line in enumerate(lines) if line.startswith("node "))
-    rows = [line.split() for line in lines[head + 2 :] if re.match(r"\w+ +(optics|sensor|isp)\.", line)]
-    assert all(row[2] == "cached" or float(row[2]) >= 0 for row in rows)
-    return [row[0] for row in rows if row[2] != "cached"]
-
-
-def test_a_change_runs_what_follows_and_writes_the_bytes_of_a_run_without_cache(radiance, tmp_path, cache):
-    """The user's cache folder is used unless another is named, or none is wanted."""
-    arguments = ("run", PIPELINE, "--in", radiance)
-    assert len(ran(run(*arguments, "-o", tmp_path / "a"))) == 22 == len(list(cache.iterdir()))
-    assert ran(run(*arguments, "-o", tmp_path / "a", "--set", "tone.shoulder=0.3")) == ["tone", "srgb"]
-    assert len(ran(run(*arguments, "-o", tmp_path / "b", "--set", "tone.shoulder=0.3", "--no-cache"))) == 22
-    assert (
-        len(ran(run(*arguments, "-o", tmp_path / "c", "--cache", tmp_path / "own")))
-        == 22
-        == len(list((tmp_path / "own").iterdir()))
-    )
-    for name in ("raw.dng", "srgb.png"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert len(list(cache.iterdir())) == 24
-
-
-def test_a_cache_that_cannot_be_made_stops_a_run_only_if_it_was_asked_for(radiance, tmp_path):
-    (tmp_path / "cache").write_text("")
-    assert run("run", PIPELINE, "--in", radiance, "-o", tmp_path / "a", "--until", "irradiance").returncode == 0
-    done = run("run", PIPELINE, "--in", radiance, "-o", tmp_path / "b", "--cache", tmp_path / "cache" / "x")
-    assert done.returncode == 2 and "results cannot be kept there" in done.stderr and not (tmp_path / "b").exists()
-
-
 def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_path, monkeypatch):
     """`--until raw` writes raw.dng, here, and nothing behind it runs; ISO 400 is in its tags (DNG: 34855)."""
     import tifffile
@@ -193,7 +153,7 @@ def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_pat
     monkeypatch.chdir(tmp_path)
     done = run("run", PIPELINE, "--in", f"radiance={radiance}", "--set", "sensor.iso=400", "--until", "raw")
     assert done.returncode == 0 and done.stdout.strip() == "raw.dng" and "iso=400" in done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["cache", "in.exr", "raw.dng"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.exr", "raw.dng"]
     with tifffile.TiffFile("raw.dng") as raw:
         assert raw.pages[0].tags["ExifTag"].value["ISOSpeedRatings"] == 400
 

@@ -140,7 +140,6 @@ def test_the_pictures_of_a_further_pipeline_are_what_it_makes_of_the_radiance(wh
             foggy.files["radiance.exr"],
             "-o",
             tmp_path,
-            "--no-cache",
         ),
         *("--meter", clear.files["radiance.exr"]),
     )
@@ -167,7 +166,7 @@ def test_the_guessed_fog_is_the_models_formula(whole, tmp_path):
     fogged = J.with_pixels(np.float32(A + (np.float64(J.pixels) - A) * t))
     writers.write_exr(tmp_path / "fogged.exr", fogged)
     done = run(
-        *("graph", "run", "pipeline/noise_free.yaml", "--in", tmp_path / "fogged.exr", "-o", tmp_path, "--no-cache"),
+        *("graph", "run", "pipeline/noise_free.yaml", "--in", tmp_path / "fogged.exr", "-o", tmp_path),
         *("--meter", clear.files["radiance.exr"]),
     )
     assert done.returncode == 0, done.stderr

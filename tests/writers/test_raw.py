@@ -51,7 +51,7 @@ def test_the_second_half_alone_makes_the_same_picture(shot, tmp_path):
     four digits in the file).
     """
     writers.write_output("a.dng", shot["adc"], tmp_path)
-    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
+    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     linear = writers.read_exr(tmp_path / "linear.exr")
     assert linear.quantity is Quantity.LINEAR_RGB

@@ -144,7 +144,7 @@ def test_the_table_comes_before_black(tmp_path):
 def test_the_command_line_develops_it_to_a_quarter(tmp_path):
     """Through `graph run raw`: demosaicing and the matrix keep an even grey."""
     path = write(tmp_path / "a.dng", stored(BLACKS["4x4"][0]), BLACKS["4x4"][1])
-    done = cli.run("graph", "run", "raw", "--in", path, "-o", tmp_path, "--no-cache")
+    done = cli.run("graph", "run", "raw", "--in", path, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     linear = writers.read_exr(tmp_path / "linear.exr")
     np.testing.assert_allclose(linear.pixels, GREY, rtol=0, atol=5e-4)
@@ -244,5 +244,5 @@ def test_the_command_line_says_one_line_of_a_file_that_is_cut(tmp_path):
     """What LibRaw writes of its own is not among it."""
     whole = write(tmp_path / "a.dng", stored(1024), [(50714, SHORT, 1, 1024)]).read_bytes()
     (tmp_path / "a.dng").write_bytes(whole[: len(whole) - 1000])
-    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path, "--no-cache")
+    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "a.dng: cannot be read as RAW" in done.stderr

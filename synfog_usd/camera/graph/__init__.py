@@ -1,6 +1,5 @@
 """Node graphs: ops, their order, and the checks that a YAML file goes through."""
 
-from synfog_usd.camera.graph.cache import Cache
 from synfog_usd.camera.graph.engine import Bound, GraphRun, Node, NodeGraph
 from synfog_usd.camera.graph.load import load_graph, make_graph
 from synfog_usd.camera.graph.op import Auto, FromProfile, Op, Parameter, Port, Profile, Range, Registry
@@ -8,7 +7,6 @@ from synfog_usd.camera.graph.op import Auto, FromProfile, Op, Parameter, Port, P
 __all__ = [
     "Auto",
     "Bound",
-    "Cache",
     "FromProfile",
     "GraphRun",
     "Node",

@@ -107,9 +107,7 @@ def mermaid(graph: NodeGraph, run: GraphRun | None = None) -> str:
     lines += [f'  {_id(name)}(["{name}: {port}"])' for name, port in graph.inputs.items()]
     for node in graph.nodes.values():
         spent = _time(node, run)
-        lines.append(
-            f'  {_id(node.name)}["{node.name}<br/>{node.op.name}{f"<br/>{_with_unit(spent)}" if spent else ""}"]'
-        )
+        lines.append(f'  {_id(node.name)}["{node.name}<br/>{node.op.name}{f"<br/>{spent} ms" if spent else ""}"]')
         lines += [
             f"  {_id(source)} -- {_flows(_port_of(graph, source))} --> {_id(node.name)}" for source in node.inputs
         ]
@@ -121,17 +119,7 @@ def mermaid(graph: NodeGraph, run: GraphRun | None = None) -> str:
 def _time(node: Node, run: GraphRun | None) -> str:
     if run is None:
         return ""
-    return (
-        f"{run.milliseconds[node.name]:.1f}"
-        if node.name in run.milliseconds
-        else "cached"
-        if node.name in run.cached
-        else ""
-    )
-
-
-def _with_unit(time: str) -> str:
-    return f"{time} ms" if time and time != "cached" else time
+    return f"{run.milliseconds[node.name]:.1f}" if node.name in run.milliseconds else ""
 
 
 def _id(name: str) -> str:

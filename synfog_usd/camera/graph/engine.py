@@ -23,14 +23,10 @@ from synfog_usd.base.errors import GraphError, ImageError, SynfogError, did_you_
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.yamlio import Place
-from synfog_usd.camera.graph.cache import Cache, image_key, node_key
 from synfog_usd.camera.graph.compose import SCHEMA
 from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile
 
 AUTO = "auto"
-
-NOTES = ("graph_name", "graph_hash")
-"""Provenance that every image of a run gets; a kept result gets that of the run that it is used in."""
 
 _WITH_UNIT = re.compile(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*([^\d\s./*+-][^\d]*)")
 
@@ -84,14 +80,11 @@ class GraphRun(Mapping[str, Image]):
 
     Attributes:
         images: one per node that was asked for and kept, inputs left out.
-        milliseconds: wall time per node that ran.
-        cached: nodes that did not run, because the cache had what they give, or
-            what is made of it.
+        milliseconds: wall time per node.
     """
 
     images: Mapping[str, Image]
     milliseconds: Mapping[str, float]
-    cached: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Image:
         return self.images[name]
@@ -245,7 +238,6 @@ class NodeGraph:
         overrides: Mapping[str, Any] | None = None,
         until: str | None = None,
         keep: Sequence[str] | None = None,
-        cache: Cache | None = None,
         progress: Progress = silent,
     ) -> GraphRun:
         """Run the graph.
@@ -260,8 +252,6 @@ class NodeGraph:
             overrides: see `with_overrides`.
             until: run only this node, or the node of this output, and what it reads.
             keep: nodes whose images are returned; all unless given.
-            cache: where results are looked up and kept; the images are the same
-                bytes with and without.
             progress: called before each node.
 
         Returns:
@@ -278,30 +268,22 @@ class NodeGraph:
             graph._check_node(name)
         returned = needed if keep is None else keep
         have = graph._checked_inputs(images, needed)
-        keys = graph._keys(have, needed, seed, settings or {}) if cache else {}
-        running, cached = graph._missing(keys, needed, returned, cache) if cache else (needed, {})
-        readers = {name: sum(name in graph.nodes[node].inputs for node in running) for name in (*have, *needed)}
-        have |= cached
+        readers = {name: sum(name in graph.nodes[node].inputs for node in needed) for name in (*have, *needed)}
         milliseconds: dict[str, float] = {}
-        done = {name: image for name, image in cached.items() if name in returned}
-        for index, name in enumerate(running):
-            progress(name, index / len(running))
+        done: dict[str, Image] = {}
+        for index, name in enumerate(needed):
+            progress(name, index / len(needed))
             began = time.perf_counter()
             have[name] = graph._apply(graph.nodes[name], have, seed, settings or {})
             milliseconds[name] = (time.perf_counter() - began) * 1e3
-            if cache and (key := keys[name]) is not None:
-                cache.put(key, _noted_as(have[name], dict.fromkeys(NOTES)))
             if name in returned:
                 done[name] = have[name]
             for source in set(graph.nodes[name].inputs):
                 readers[source] -= 1
                 if readers[source] == 0:
                     del have[source]
-        if cache:
-            cache.flush()
         progress("done", 1.0)
-        reused = tuple(name for name in needed if name not in running)
-        return GraphRun({name: done[name] for name in needed if name in done}, milliseconds, reused)
+        return GraphRun(done, milliseconds)
 
     def outputs_of(self, name: str) -> dict[str, str]:
         """The outputs that `name` means: a file ('raw.dng'), or all of that stem ('raw'); file name -> node."""
@@ -310,52 +292,6 @@ class NodeGraph:
     def options_of(self, file_name: str) -> Mapping[str, Any]:
         """How an output is written, as its writer wants it; empty where the graph does not say."""
         return self.output_options.get(file_name, {})
-
-    def _keys(
-        self, inputs: Mapping[str, Image], needed: Sequence[str], seed: int, settings: Mapping[str, Any]
-    ) -> dict[str, str | None]:
-        """Key of what each node gives, known before anything runs."""
-        keys = {name: image_key(image, NOTES) for name, image in inputs.items()}
-        for name in needed:
-            node = self.nodes[name]
-            params = {key: self._fact(node, key, bound, settings) for key, bound in node.params.items()}
-            keys[name] = node_key(
-                node.op, params, (seed, name) if node.op.draws else None, [keys[source] for source in node.inputs]
-            )
-        return keys
-
-    def _fact(self, node: Node, name: str, bound: Bound, settings: Mapping[str, Any]) -> Any:
-        """A parameter's value as JSON holds it.  What `auto` finds in the provenance is in the key of the image that it
-        comes with.
-        """
-        if not bound.is_auto:
-            return [_plain(bound), repr(bound.value)]
-        key = node.op.parameters[name].auto_key
-        return [AUTO, settings[key]] if key in settings else _plain(bound)
-
-    def _missing(
-        self, keys: Mapping[str, str | None], needed: Sequence[str], returned: Sequence[str], cache: Cache
-    ) -> tuple[list[str], dict[str, Image]]:
-        """The nodes that have to run, in order, and the images from the cache that they read or the caller keeps."""
-        inner = {source for name in needed for source in self.nodes[name].inputs}
-        open_names, note = set(returned), self._note()
-        running: list[str] = []
-        cached: dict[str, Image] = {}
-        for name in reversed(needed):
-            if name in inner and name not in open_names:
-                continue
-            if (key := keys[name]) is not None:
-                if name not in open_names and cache.has(key):
-                    continue
-                if (image := cache.get(key)) is not None:
-                    cached[name] = _noted_as(image, note)
-                    continue
-            running.append(name)
-            open_names.update(self.nodes[name].inputs)
-        return running[::-1], cached
-
-    def _note(self) -> dict[str, str]:
-        return {"graph_name": self.name, "graph_hash": self.hash}
 
     def _check_node(self, name: str) -> None:
         if name not in self.nodes:
@@ -392,7 +328,6 @@ class NodeGraph:
                     f"{', '.join(self.inputs)}.{did_you_mean(name, self.inputs)}"
                 )
         have: dict[str, Image] = {}
-        note = self._note()
         for name in sorted({source for node in needed for source in self.nodes[node].inputs if source in self.inputs}):
             if name not in images:
                 raise GraphError(
@@ -412,7 +347,7 @@ class NodeGraph:
                     f"input {name!r}: pixel x={column}, y={row} of channel {image.channels[channel]!r} is not a finite "
                     f"number"
                 )
-            have[name] = image.with_metadata(**note)
+            have[name] = image.with_metadata(graph_name=self.name, graph_hash=self.hash)
         return have
 
     def _apply(self, node: Node, have: Mapping[str, Image], seed: int, settings: Mapping[str, Any]) -> Image:
@@ -496,8 +431,3 @@ def _plain(bound: Bound) -> Any:
     if bound.is_auto:
         return [AUTO, None if bound.value is MISSING else bound.value]
     return bound.value.content_hash if hasattr(bound.value, "content_hash") else bound.value
-
-
-def _noted_as(image: Image, note: Mapping[str, Any]) -> Image:
-    """The image with the run's notes replaced where it has them, in their places."""
-    return replace(image, provenance={key: note.get(key, value) for key, value in image.provenance.items()})
