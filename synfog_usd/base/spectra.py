@@ -1,7 +1,7 @@
 """Spectra of lights and surfaces by name: what `synfog:spectrum:emission` and `synfog:spectrum:reflectance` may hold.
 
 Takes a name, or wavelengths with values; gives a spectrum on `photometry.WAVELENGTHS_NM`.
-Reflectances are formulas with measured coefficients (`TABLE`): pigments in leaves and
+Reflectances are formulas with measured coefficients (`TABLE`, `assets/spectra`): pigments in leaves and
 skin, minerals, dyed sheeting.  Knows nothing of USD and of rendering.
 """
 
@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.base import tables
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.errors import ParameterError, did_you_mean
@@ -63,73 +64,16 @@ def _step(wavelength: Array, edge_nm: float, width_nm: float) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(-(wavelength - edge_nm) / width_nm)))
 
 
-_PIGMENT_NM = (*range(400, 671, 10), *range(675, 721, 5), 730, 740, 760)
-_CHLOROPHYLL = (
-    0.0268,
-    0.0553,
-    0.0648,
-    0.0698,
-    0.0712,
-    0.0609,
-    0.0499,
-    0.0462,
-    0.0441,
-    0.0368,
-    0.0250,
-    0.0154,
-    0.0095,
-    0.0086,
-    0.0108,
-    0.0129,
-    0.0142,
-    0.0165,
-    0.0196,
-    0.0217,
-    0.0228,
-    0.0249,
-    0.0280,
-    0.0292,
-    0.0321,
-    0.0389,
-    0.0459,
-    0.0577,
-    0.0591,
-    0.0565,
-    0.0469,
-    0.0325,
-    0.0204,
-    0.0126,
-    0.0081,
-    0.0055,
-    0.0037,
-    0.0025,
-    0.0011,
-    0.0005,
-    0.0,
-)
-_CAROTENE_NM = (400, 410, 420, 430, 440, 450, 460, 470, 480, 490, 500, 510, 520, 530, 540, 550, 560)
-_CAROTENE = (
-    0.2895,
-    0.2203,
-    0.1866,
-    0.1735,
-    0.1664,
-    0.1577,
-    0.1425,
-    0.1308,
-    0.1270,
-    0.1166,
-    0.0966,
-    0.0728,
-    0.0502,
-    0.0303,
-    0.0144,
-    0.0038,
-    0.0,
-)
-"""Specific absorption of leaf pigments [cm2 per microgram] (Feret et al. 2008, PROSPECT-5), every 10 nm and closer
-along the red edge.
-"""
+def _columns(name: str, wavelength: Array) -> list[Array]:
+    """The columns of a table at wavelengths [nm], on straight lines.
+
+    `leaf_pigments`: specific absorption of chlorophyll and carotenes [cm2 per microgram] (Feret et al. 2008,
+    PROSPECT-5).  `haemoglobin`: molar extinction with oxygen and without [1/(cm mol/l)] (Prahl 1998, after Gratzer and
+    Kollias).
+    """
+    wavelength_nm, *columns = tables.table(name).values()
+    return [np.interp(wavelength, wavelength_nm, column) for column in columns]
+
 
 LEAF_SCATTERING = 0.9
 """Scattering thickness of a leaf: 46 % of near infrared come back, as PROSPECT gives for broad leaves."""
@@ -154,90 +98,11 @@ def leaf(wavelength: Array, *, chlorophyll: float, carotene: float, brown: float
         chlorophyll, carotene: [micrograms per cm2]; a green leaf has 20 to 80, and a fifth of it in carotenes.
         brown: absorption of what a dead leaf turns to at 500 nm, falling to half each 55 nm.
     """
-    green = np.interp(wavelength, _PIGMENT_NM, _CHLOROPHYLL)
-    yellow = np.interp(wavelength, _CAROTENE_NM, _CAROTENE)
+    green, yellow = _columns("leaf_pigments", wavelength)
     tan = brown * 2.0 ** (-(wavelength - 500.0) / 55.0)
     return LEAF_SURFACE + (1.0 - LEAF_SURFACE) * _layer(
         2.0 * LEAF_PATH * (chlorophyll * green + carotene * yellow + tan + 0.008), LEAF_SCATTERING
     )
-
-
-_BLOOD_NM = (*range(380, 701, 10), 750, 780)
-_OXYGENATED = (
-    145232,
-    167748,
-    266232,
-    466840,
-    480360,
-    246072,
-    102580,
-    62816,
-    44480,
-    33209,
-    26629,
-    23684,
-    20932,
-    20035,
-    24202,
-    39956,
-    53236,
-    43016,
-    32613,
-    44496,
-    50104,
-    14400,
-    3200,
-    1506,
-    942,
-    610,
-    442,
-    368,
-    319,
-    294,
-    277,
-    276,
-    290,
-    518,
-    710,
-)
-_DEOXYGENATED = (
-    136068,
-    167780,
-    223296,
-    303956,
-    407560,
-    528600,
-    413280,
-    103292,
-    23389,
-    16156,
-    14550,
-    16684,
-    20862,
-    25773,
-    31589,
-    39036,
-    46592,
-    53412,
-    53788,
-    45072,
-    37020,
-    28324,
-    14677,
-    9443,
-    6509,
-    5148,
-    4345,
-    3750,
-    3226,
-    2795,
-    2407,
-    2051,
-    1794,
-    1405,
-    1075,
-)
-"""Molar extinction of haemoglobin [1/(cm mol/l)] (Prahl 1998, after Gratzer and Kollias)."""
 
 
 def skin(wavelength: Array, *, melanin: float, blood: float = 0.02, oxygen: float = 0.75) -> Array:
@@ -247,9 +112,8 @@ def skin(wavelength: Array, *, melanin: float, blood: float = 0.02, oxygen: floa
         melanin: share of the epidermis that is melanosomes; 0.01 to 0.06 light, 0.1 and more dark.
         blood: share of the dermis; oxygen: share of its haemoglobin that carries oxygen.
     """
-    haemoglobin = oxygen * np.interp(wavelength, _BLOOD_NM, _OXYGENATED) + (1.0 - oxygen) * np.interp(
-        wavelength, _BLOOD_NM, _DEOXYGENATED
-    )
+    with_oxygen, without = _columns("haemoglobin", wavelength)
+    haemoglobin = oxygen * with_oxygen + (1.0 - oxygen) * without
     per_cm = blood * 2.303 * haemoglobin * 150.0 / 64_500.0 + 0.25  # 150 g/l of blood; 64 500 g/mol; bloodless tissue
     scattering = 46.0 * (wavelength / 500.0) ** -1.421
     ratio = 2.0 * per_cm / (0.75 * scattering)
@@ -374,15 +238,15 @@ def emission(name: str) -> Array:
         peak, half = LEDS[name]
         shape = colour.SpectralShape(float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), 1.0)
         return np.asarray(colour.sd_single_led(peak, shape, half_spectral_width=half).values, dtype=np.float64)
-    tables = colour.SDS_ILLUMINANTS
-    if name not in tables:
-        names = (*ILLUMINANTS, *LEDS, *tables)
+    standard = colour.SDS_ILLUMINANTS
+    if name not in standard:
+        names = (*ILLUMINANTS, *LEDS, *standard)
         some = (*ILLUMINANTS, *LEDS, "HP1 to HP5", "LED-B1 to LED-B5", "FL1 to FL12")
         raise ParameterError(
             f"there is no light {name!r}; it can be {', '.join(some)} or another illuminant of the "
             f"CIE.{did_you_mean(name, names)}"
         )
-    return np.interp(WAVELENGTHS_NM, tables[name].wavelengths, tables[name].values)
+    return np.interp(WAVELENGTHS_NM, standard[name].wavelengths, standard[name].values)
 
 
 def spectrum_of_pairs(pairs: npt.ArrayLike, *, most: float = np.inf) -> Array:

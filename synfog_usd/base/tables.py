@@ -37,7 +37,9 @@ def table(name: str) -> dict[str, Array]:
     """
     path = resources.folder("assets") / "spectra" / f"{name}.csv"
     if not path.is_file():
-        raise ParameterError(f"{path}: no such table; there are {', '.join((STANDARD, *CAMERAS.values()))}")
+        raise ParameterError(
+            f"{path}: no such table; there are {', '.join(sorted(file.stem for file in path.parent.glob('*.csv')))}"
+        )
     header, *lines = path.read_text(encoding="ascii").splitlines()
     columns = np.array([line.split(",") for line in lines], dtype=np.float64).T
     columns.flags.writeable = False
