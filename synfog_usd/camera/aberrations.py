@@ -7,7 +7,7 @@ a blur of its own for each part of the picture.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -20,9 +20,9 @@ from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import spectral_weights
 from synfog_usd.camera.distortion import Pinhole
-from synfog_usd.camera.graph import Auto, FromProfile, Range
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.optics import field_angles_rad
-from synfog_usd.camera.profiles import SensorProfile
+from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 
@@ -34,104 +34,64 @@ WIDEST_PX = 64.0
 
 COLOURS_NM = (450.0, 550.0, 650.0)
 
-Numbers = tuple[float, ...] | None
+COLUMNS = ("tangential_um", "sagittal_um", "axial_450_um", "axial_650_um", "lateral_450_um", "lateral_650_um")
+"""Of a lens's table: standard deviations along the radius and across it at 550 nm, what comes to them at two other
+wavelengths, and how much further from the axis these go.
+"""
 
 
-def table_fault(field_deg: Numbers, *columns: Numbers) -> str:
-    """What is wrong with a table by the angle to the axis, or ''; columns may be left out."""
-    if not field_deg:
-        return ""
-    long = {len(column) for column in columns if column} <= {len(field_deg)}
-    if long and field_deg[0] == 0.0 and (np.diff(field_deg) > 0.0).all():
-        return ""
-    return f"a table of {len(field_deg)} field_deg: they rise from 0, and every other list is as long"
-
-
-def aberrations_fault(
-    field_deg: Numbers,
-    tangential_um: Numbers,
-    sagittal_um: Numbers,
-    axial_450_um: Numbers,
-    axial_650_um: Numbers,
-    lateral_450_um: Numbers,
-    lateral_650_um: Numbers,
-) -> str:
-    """What is wrong with a lens's table, or ''."""
-    return table_fault(
-        field_deg, tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um
-    )
-
-
-@OPS.op("optics.aberrations", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE, fault=aberrations_fault)
+@OPS.op("optics.aberrations", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
 def aberrations(
     image: Image,
     *,
-    field_deg: Annotated[Numbers, Range(0.0, 180.0), FromProfile("lens.aberration_field_deg")] = None,
-    tangential_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.tangential_um")] = None,
-    sagittal_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.sagittal_um")] = None,
-    axial_450_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.axial_450_um")] = None,
-    axial_650_um: Annotated[Numbers, Range(0.0, 1000.0), FromProfile("lens.axial_650_um")] = None,
-    lateral_450_um: Annotated[Numbers, Range(-1000.0, 1000.0), FromProfile("lens.lateral_450_um")] = None,
-    lateral_650_um: Annotated[Numbers, Range(-1000.0, 1000.0), FromProfile("lens.lateral_650_um")] = None,
+    lens: Annotated[LensProfile | None, FromProfile("lens")] = None,
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
     sensor: Annotated[SensorProfile, FromProfile("sensor")],
     fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
-    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
     """Spots that change over the field and with the wavelength: soft corners and coloured edges.
 
-    A point becomes a Gaussian spot whose standard deviations along the radius and across it stand in a table by the
-    angle to the axis.  At 450 and 650 nm it is wider, by the root of the sum of squares (axial colour), and further
-    from the axis than at 550 nm (lateral colour); a channel takes what lies between them at its mean wavelength.
+    A point becomes a Gaussian spot whose standard deviations along the radius and across it stand in the lens's table
+    by the angle to the axis.  At 450 and 650 nm it is wider, by the root of the sum of squares (axial colour), and
+    further from the axis than at 550 nm (lateral colour).  A channel takes what lies between them at its mean
+    wavelength.
 
     Contrast falls as the Gaussian's, exp(-2 (pi s f)^2), shifted by weights of two pixels whose variance is taken off.
     What exceeds 8 times the channel's 95th percentile gets Lindeberg's discrete Gaussian, of the same variances and
     never below 0, so that no lamp has dark rings.
 
     Spots are computed at sixteen places along the longer side, and every 128 pixels at least; what lies between is a
-    mixture of the four nearest.  A lens without a table leaves the picture as it is.
+    mixture of the four nearest.
 
     Args:
         image: irradiance (H, W, C), as it lies on the sensor.
-        field_deg: angles to the axis [degrees], rising from 0; beyond the last the last holds.
-        tangential_um, sagittal_um: standard deviations along the radius and across it, at 550 nm [um].
-        axial_450_um, axial_650_um: standard deviations that come to them at these wavelengths [um].
-        lateral_450_um, lateral_650_um: way from where 550 nm goes, + away from the axis [um].
+        lens: whose table; one without leaves the picture as it is.
         pixel_pitch_um: distance of the picture's pixels on the sensor [um].
         sensor: weighs the wavelengths.
-        fov_x_deg, shift_x, shift_y: see `optics.irradiance`.
+        fov_x_deg: see `optics.irradiance`.
 
     Raises:
-        ImageError: lists of unlike length, angles that do not rise from 0, spots wider than 64 pixels, no angle of
-            view.
+        ImageError: spots wider than 64 pixels, no angle of view.
 
     Source: Lindeberg, "Scale-space for discrete signals", IEEE PAMI 12 (1990).
     """
-    columns = (tangential_um, sagittal_um, axial_450_um, axial_650_um, lateral_450_um, lateral_650_um)
-    if not field_deg:
+    if lens is None or not lens.aberration_field_deg:
         return image
-    if fault := aberrations_fault(field_deg, *columns):
-        raise ImageError(fault)
-    table = filled(field_deg, columns) / pixel_pitch_um
+    field_deg = np.asarray(lens.aberration_field_deg)
+    table = np.array([getattr(lens, name) for name in COLUMNS]) / pixel_pitch_um
     if np.abs(table).max() > WIDEST_PX:
         raise ImageError(f"an aberration of {np.abs(table).max():.0f} pixels; {WIDEST_PX:.0f} are the most")
-    field = Field.of(image, fov_x_deg, (shift_x, shift_y))
+    field = Field.of(image, fov_x_deg)
     nm = np.clip(spectral_weights(sensor, image.channels) @ photometry.WAVELENGTHS_NM, *COLOURS_NM[::2])
     result = np.empty_like(image.pixels)
 
     def run(channel: int) -> None:
-        spots = _Spots(np.asarray(field_deg), _at(table, float(nm[channel])), field)
+        spots = _Spots(field_deg, _at(table, float(nm[channel])), field)
         result[..., channel] = spread_by_place(image.pixels[..., channel], spots.reach_px, spots.transfers)
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(run, range(len(image.channels))))
     return image.with_pixels(result).with_metadata(aberrations_px=[float(f"{part:.4g}") for part in table.max(axis=1)])
-
-
-def filled(field_deg: tuple[float, ...], columns: Sequence[Numbers]) -> Array:
-    """(K, F) columns of a lens's table, zeros for those that are left out."""
-    return np.array([column or (0.0,) * len(field_deg) for column in columns])
 
 
 @dataclass(frozen=True)
@@ -147,10 +107,9 @@ class Field:
     axis: tuple[float, float]
 
     @classmethod
-    def of(cls, image: Image, fov_x_deg: float | None, shift: tuple[float, float]) -> Field:
+    def of(cls, image: Image, fov_x_deg: float | None) -> Field:
         """Of an image; see `field_angles_rad`."""
-        angles = np.degrees(field_angles_rad(image, fov_x_deg, shift))
-        return cls(angles, Pinhole(image.height_px, image.width_px, 0.0, shift).axis_px)
+        return cls(np.degrees(field_angles_rad(image, fov_x_deg)), Pinhole.of(image, 0.0).axis_px)
 
     def at(self, row: float, column: float) -> tuple[float, float, float]:
         """Angle to the axis at a place [degrees], that of the nearest pixel; and columns and rows, as a unit vector,

@@ -39,9 +39,9 @@ DENSITY = 2
 """Rendered pixels for one of the sensor's, each way, where a lens distorts."""
 
 SPREAD = (0.0782, 0.0712)
-"""L L^T = 0.0782 I - 0.0712 J J^T, for 1/12 and 1/12: then a wave at the Nyquist frequency keeps sinc(1/2) of its
-contrast through rendered pixel, spline and taps, within 0.003 for J from 0.35 to 0.7, and slower ones sinc(f) within
-0.005.
+"""a and b of L L^T = a I - b J J^T, instead of 1/12 both.
+
+So a wave of frequency f keeps sinc(f) of its contrast through rendered pixel, spline and taps, within 0.005.
 """
 
 DENSER = 1.05
@@ -49,6 +49,9 @@ DENSER = 1.05
 
 MARGIN_PX = 4
 """Rendered pixels beyond what the sensor's pixels see, for taps and splines."""
+
+MOST_SHIFT = 10.0
+"""Offset of the axis, in pictures."""
 
 BORDER_POINTS = 100_000
 """Points of each side of the rendered picture, which is 0.01 pixels at 1,000 wide."""
@@ -63,53 +66,42 @@ def distortion(
     coefficients: Annotated[tuple[float, ...] | None, Range(-1000.0, 1000.0), FromProfile("lens.distortion")] = None,
     fit: Fit = "inside",
     fov_x_deg: Annotated[float, Range(0.0, 179.0, above=True), FOV],
-    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
     view: Annotated[tuple[float, float, float, float, float] | None, Auto()] = None,
 ) -> Image:
     """Straight lines become curves, as the lens's calibration says.
 
-    A direction (x, y) = (X / Z, Y / Z) goes to x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) /
-    (1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike with p1
-    and p2 changed over; then to the pixel (fx x' + cx, fy y' + cy).
+    A direction (x, y) = (X / Z, Y / Z) goes to x' = q x + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike with p1 and p2
+    changed over.  The pixel is (fx x' + cx, fy y' + cy).  The quotient q is
+    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
 
-    Stands after `optics.irradiance`, whose falloff goes by the angle to the axis, and
-    before blurs.  Pixels are read from a cubic spline, kept between 0.9 of the least
-    and 1.1 of the greatest of the nearest four, so that no edge gets a dark line; what
-    exceeds 8 times the 95th percentile is read linearly, so that no lamp gets a ring.
-    A lens without coefficients leaves the picture as it is.
+    Stands after `optics.irradiance`, whose falloff goes by the angle to the axis, and before blurs.  Pixels are read
+    from a cubic spline, kept between 0.9 of the least and 1.1 of the greatest of the nearest four, so that no edge gets
+    a dark line.  What exceeds 8 times the 95th percentile is read linearly, so that no lamp gets a ring.
 
-    A picture of the sensor's own size loses sharpness here: pixels that were averaged
-    once are averaged again.  So a bake renders a wider and denser one (`to_render`), whose provenance says
-    which view is meant; four places of it are averaged for each pixel.  Their distance adds to
-    the size of its own pixels, so that the sum is as wide as a pixel of the sensor, however much the lens stretches
-    there.
+    A picture of the sensor's own size loses sharpness here: pixels that were averaged once are averaged again.  So a
+    bake renders a wider and denser one (`to_render`), whose provenance says which view is meant.  Four places of it are
+    averaged for each pixel.  With the size of its own pixels their distance makes up the size of a pixel of the sensor.
 
-    The provenance gets `distortion_coefficients`, and `camera_matrix_px` (fx, cx; fy,
-    cy) of the warped picture: what OpenCV takes.
+    The provenance gets `distortion_coefficients`, and `camera_matrix_px` of the warped picture, as OpenCV takes it.
 
     Args:
         image: irradiance (H, W, C) of a pinhole camera.
-        coefficients: k1, k2, p1, p2, then k3, then k4, k5, k6, as in OpenCV [1].
-        fit: inside lengthens or shortens the focal length until every pixel looks
-            just inside the rendered picture; keep leaves it.
+        coefficients: k1, k2, p1, p2, then k3, then k4, k5, k6, as in OpenCV [1]; empty for a lens that bends nothing.
+        fit: inside lengthens or shortens the focal length until every pixel looks just inside the rendered picture;
+            keep leaves it.
         fov_x_deg: horizontal angle of view of the rendered picture [degrees].
-        shift_x, shift_y: offset of the axis from the centre, in image widths and
-            heights, right and up.
-        view: what the sensor takes, where a wider and denser picture was rendered: height, width,
-            angle of view, and offset of the axis in widths and heights.  The camera keeps
-            its focal length then; `fit` does not count.
+        view: what the sensor takes, where a wider and denser picture was rendered: height, width, angle of view, and
+            offset of the axis in widths and heights.  The camera keeps its focal length then; `fit` does not count.
 
     Raises:
-        ImageError: a count of coefficients other than 4, 5 or 8; a picture that they
-            would fold over; an axis outside the picture; under keep, a pixel that
-            looks outside the rendered picture.
+        ImageError: a count of coefficients other than 4, 5 or 8; a picture that they would fold over; an axis outside
+            the picture; under keep, a pixel that looks outside the rendered picture.
 
     Source: OpenCV, "Camera Calibration and 3D Reconstruction".
     """
     if not coefficients:
         return image
-    rendered = Pinhole(image.height_px, image.width_px, fov_x_deg, (shift_x, shift_y))
+    rendered = Pinhole.of(image, fov_x_deg)
     sensor_view = Pinhole(int(view[0]), int(view[1]), view[2], (view[3], view[4])) if view else None
     warp = warp_of(rendered, tuple(coefficients), fit, sensor_view)
     metadata: dict[str, Any] = {
@@ -118,19 +110,15 @@ def distortion(
         "camera_matrix_px": warp.camera_matrix(),
     }
     if sensor_view is not None:
-        metadata |= {"distortion_source": [image.height_px, image.width_px, fov_x_deg, shift_x, shift_y], "view": None}
-        metadata |= {
-            "fov_x_deg": sensor_view.fov_x_deg,
-            "shift_x": sensor_view.shift[0],
-            "shift_y": sensor_view.shift[1],
-        }
-    pixels = _resampled(image.pixels, warp.row, warp.column)
-    if warp.taps:
-        pixels = sum(
-            (_resampled(image.pixels, warp.row + down, warp.column + right) for down, right in warp.taps),
-            np.zeros_like(pixels),
-        )
-        pixels *= np.float32(1.0 / len(warp.taps))
+        metadata |= {"distortion_source": [*rendered[:3], *rendered.shift], "view": None}
+        shift_x, shift_y = sensor_view.shift
+        metadata |= {"fov_x_deg": sensor_view.fov_x_deg, "shift_x": shift_x, "shift_y": shift_y}
+    if not warp.taps:
+        return image.with_pixels(_resampled(image.pixels, warp.row, warp.column)).with_metadata(**metadata)
+    pixels = np.zeros((*warp.row.shape, image.pixels.shape[2]), np.float32)
+    for down, right in warp.taps:
+        pixels += _resampled(image.pixels, warp.row + down, warp.column + right)
+    pixels *= np.float32(1.0 / len(warp.taps))
     return image.with_pixels(pixels).with_metadata(**metadata)
 
 
@@ -144,6 +132,15 @@ class Pinhole(NamedTuple):
     fov_x_deg: float
     shift: tuple[float, float]
 
+    @classmethod
+    def of(cls, image: Image, fov_x_deg: float) -> Pinhole:
+        """That of an image, whose provenance may say an offset of the axis (`shift_x`, `shift_y`).
+
+        Raises:
+            ImageError: an offset that is none.
+        """
+        return cls(image.height_px, image.width_px, fov_x_deg, shift_of(image))
+
     @property
     def focal_px(self) -> float:
         """Focal length [px]."""
@@ -155,6 +152,22 @@ class Pinhole(NamedTuple):
         return (self.width_px - 1) / 2 + self.shift[0] * self.width_px, (self.height_px - 1) / 2 - self.shift[
             1
         ] * self.height_px
+
+
+def shift_of(image: Image) -> tuple[float, float]:
+    """Offset of the axis from a picture's centre, in widths and heights, right and up; 0 where it says none.
+
+    Raises:
+        ImageError: it says no number within 10.
+    """
+    said = image.provenance.get("shift_x", 0.0), image.provenance.get("shift_y", 0.0)
+    try:
+        right, up = float(said[0]), float(said[1])
+    except (TypeError, ValueError):
+        right = up = math.nan
+    if not (abs(right) <= MOST_SHIFT and abs(up) <= MOST_SHIFT):
+        raise ImageError(f"the image's shift_x and shift_y are {said[0]!r} and {said[1]!r}; each is from -10 to 10")
+    return right, up
 
 
 @dataclass(frozen=True)
@@ -267,14 +280,9 @@ def of_graph(graph: NodeGraph, rendered: Pinhole, sensor_view: Pinhole | None = 
     node = _node(graph)
     if node is None:
         return None
-    params = node.params
-    geometry = {"fov_x_deg": rendered.fov_x_deg, "shift_x": rendered.shift[0], "shift_y": rendered.shift[1]}
-    arguments = {name: value if params[name].is_auto else params[name].value for name, value in geometry.items()}
-    coefficients = tuple(params["coefficients"].value)
-    source = Pinhole(
-        rendered.height_px, rendered.width_px, arguments["fov_x_deg"], (arguments["shift_x"], arguments["shift_y"])
-    )
-    return node.name, warp_of(source, coefficients, params["fit"].value, sensor_view)
+    coefficients, fit, fov = (node.params[name] for name in ("coefficients", "fit", "fov_x_deg"))
+    source = rendered if fov.is_auto else rendered._replace(fov_x_deg=fov.value)
+    return node.name, warp_of(source, tuple(coefficients.value), fit.value, sensor_view)
 
 
 def _node(graph: NodeGraph) -> Node | None:

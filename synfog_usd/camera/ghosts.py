@@ -10,15 +10,16 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
-from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import spread
+from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.flare import aperture, enlarged
-from synfog_usd.camera.graph import Auto, FromProfile, Range
+from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.paraxial import Drawing, Ghost
+from synfog_usd.camera.profiles import LensProfile
 from synfog_usd.camera.registry import OPS
 
 COATED = 0.0045
@@ -32,68 +33,49 @@ BLOCKS = 480
 def ghosts(
     image: Image,
     *,
-    radius_mm: Annotated[tuple[float, ...] | None, Range(-1e5, 1e5), FromProfile("lens.radius_mm")] = None,
-    thickness_mm: Annotated[tuple[float, ...] | None, Range(0.0, 1e4), FromProfile("lens.thickness_mm")] = None,
-    index: Annotated[tuple[float, ...] | None, Range(1.0, 5.0), FromProfile("lens.index")] = None,
-    clear_mm: Annotated[tuple[float, ...] | None, Range(0.0, 1e4), FromProfile("lens.clear_mm")] = None,
-    face_reflectance: Annotated[float | None, Range(0.0, 0.5)] = None,
+    lens: Annotated[LensProfile | None, FromProfile("lens")] = None,
+    face_reflectance: Annotated[float, Range(0.0, 0.5)] = COATED,
     most: Annotated[int, Range(1, 64)] = 12,
     blades: Annotated[int, Range(0, 32), FromProfile("lens.blades")] = 0,
     rotation_deg: Annotated[float, Range(-360.0, 360.0)] = 0.0,
-    threshold: Annotated[float, Range(1.0)] = spread.HIGHLIGHT,
     f_number: Annotated[float, Range(0.5, 64.0), FromProfile("lens.f_number")],
     pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
-    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
     """Ghosts of lamps, from the lens's drawing: each pair of faces makes a defocused image of the aperture.
 
     Rays near the axis say where each stands, how large it is and how much light it has; the brightest are drawn.
-    Its colour is that of the lamp, since a coating's colours are not known.  Only what exceeds the threshold is spread.
-    A lens without a drawing makes none.
+    Its colour is that of the lamp, since a coating's colours are not known.  A lamp is what exceeds 8 times the 95th
+    percentile of the channel.
 
     Args:
         image: irradiance (H, W, C).
-        radius_mm: of each face, from the front, > 0 where its middle lies behind it, 0 for a plane [mm].
-        thickness_mm: from each face to the next [mm].
-        index: behind each face [1]; the stop is the face where it does not change.
-        clear_mm: free diameter of each face [mm]; that of the stop follows from the f-number.
-        face_reflectance: of each face between glass and air [1]; empty: 0.0045, an estimate for a coating of
-            several layers.  Cemented faces reflect what Fresnel says.
+        lens: whose drawing; one without makes no ghosts.
+        face_reflectance: of each face between glass and air [1]; by default an estimate for a coating of several
+            layers.  Cemented faces reflect what Fresnel says.
         most: how many ghosts are drawn.
         blades: of the aperture; 0 for a round one.
         rotation_deg: of the aperture, anticlockwise [degrees].
-        threshold: times the 95th percentile of the channel; what exceeds that is a lamp.
         f_number: N [1].
         pixel_pitch_um: distance of the picture's pixels on the sensor [um].
-        shift_x, shift_y: offset of the axis from the centre, in image widths and
-            heights, right and up.
 
     Raises:
-        ImageError: one or two blades, or a drawing of no lens, see `paraxial.Drawing`.
+        ImageError: one or two blades.
 
     Source: Lee and Eisemann, "Practical Real-Time Lens-Flare Rendering", EGSR 2013.
     """
     if blades in (1, 2):
         raise ImageError(f"{blades} blades; it is 0 (round) or from 3 on")
-    if not radius_mm:
+    if lens is None or not lens.radius_mm:
         return image
-    try:
-        lens = Drawing(radius_mm, thickness_mm or (), index or (), clear_mm or ())
-    except ValueError as problem:
-        raise ImageError(str(problem)) from problem
-    brightest = lens.ghosts(f_number, COATED if face_reflectance is None else face_reflectance)[:most]
+    drawing = Drawing(lens.radius_mm, lens.thickness_mm, lens.index, lens.clear_mm)
+    brightest = drawing.ghosts(f_number, face_reflectance)[:most]
     pixels = image.pixels.copy()
-    axis = (
-        (image.height_px - 1) / 2 - shift_y * image.height_px,
-        (image.width_px - 1) / 2 + shift_x * image.width_px,
-    )
+    column, row = Pinhole.of(image, 0.0).axis_px
     for channel in range(pixels.shape[2]):
         plane = image.pixels[..., channel]
-        limit = np.float32(threshold / spread.HIGHLIGHT) * spread.highlight_limit(plane)
-        lamps = np.maximum(plane - limit, 0.0)
+        lamps = np.maximum(plane - spread.highlight_limit(plane), 0.0)
         if lamps.any():
-            _draw(pixels[..., channel], lamps, brightest, axis, 1e3 / pixel_pitch_um, blades, rotation_deg)
+            _draw(pixels[..., channel], lamps, brightest, (row, column), 1e3 / pixel_pitch_um, blades, rotation_deg)
             pixels[..., channel] -= np.float32(sum(ghost.fraction for ghost in brightest)) * lamps
     return image.with_pixels(np.maximum(pixels, 0.0, out=pixels)).with_metadata(
         ghost_fractions=[float(f"{ghost.fraction:.3g}") for ghost in brightest]
@@ -138,12 +120,12 @@ def _draw(
 
 def _discs(
     shape: tuple[int, ...],
-    at: Sequence[npt.NDArray[np.float64]],
-    amounts: npt.NDArray[np.float64],
+    at: Sequence[Array],
+    amounts: Array,
     diameter: float,
     blades: int,
     rotation_deg: float,
-) -> npt.NDArray[np.float64]:
+) -> Array:
     """Light of `amounts` in images of the aperture about places (row, column), all in blocks."""
     from scipy import fft
 

@@ -19,10 +19,9 @@ from synfog_usd.base.colour import LUMINANCE, srgb_decode, srgb_encode
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, response
-from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
-from synfog_usd.camera.fisheye import of_picture
-from synfog_usd.camera.graph import Auto, FromProfile, Port, Range
-from synfog_usd.camera.optics import falloff_map
+from synfog_usd.camera.distortion import source_of, warped_like
+from synfog_usd.camera.graph import FromProfile, Port, Range
+from synfog_usd.camera.optics import FalloffShape, cone_of, falloff_map, view_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import FOV, OPS
 
@@ -175,8 +174,6 @@ def lens_shading(
     *,
     strength: Annotated[float, Range(0.0, 1.0)] = 1.0,
     fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
-    shift_x: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
     """Brightens the corners that the lens left dark, and their noise with them.
 
@@ -186,33 +183,23 @@ def lens_shading(
     Args:
         image: mosaic, black 0 and saturation 1; its provenance names the falloff.
         strength: 1 takes all of it away.
-        fov_x_deg, shift_x, shift_y: see `optics.irradiance`.
+        fov_x_deg: see `optics.irradiance`.
 
     Raises:
         ImageError: the provenance names no falloff, or no angle of view is known.
     """
     _mosaic(image)
-    if "falloff" not in image.provenance:
+    metadata = image.provenance
+    if "falloff" not in metadata:
         raise ImageError("the image does not say its falloff; optics.irradiance notes it")
-    metadata, shift = image.provenance, (shift_x, shift_y)
-    table = metadata.get("relative_illumination", ((), ()))
-    lens, kind = of_picture(metadata), metadata["falloff"]
-    if fov_x_deg is None and lens is None and kind != "none":
-        raise ImageError(f"the falloff needs the angle of view: give fov_x_deg a number, or {FOV.hint}")
-    pinhole = Pinhole(image.height_px, image.width_px, fov_x_deg or 0.0, shift)  # of a fisheye its size alone counts
-    height, width, fov_deg, source_shift = source_of(metadata, pinhole)
-    fade = falloff_map(
-        height,
-        width,
-        kind=kind,
-        f_number=metadata["f_number"],
-        fov_x_deg=fov_deg,
-        shift=source_shift,
-        table=table,
-        lens=lens,
-        power=strength,
+    if metadata["falloff"] == "none":
+        return image.with_metadata(lens_shading=strength)
+    view, fisheye = view_of(image, fov_x_deg)
+    shape = FalloffShape(
+        metadata["falloff"], cone_of(metadata["f_number"]), metadata.get("relative_illumination", ((), ()))
     )
-    fade = warped_like(fade, metadata, pinhole)
+    fade = falloff_map(source_of(metadata, view), fisheye, shape, power=strength)
+    fade = warped_like(fade, metadata, view)
     pixels = np.empty_like(image.pixels)
     for rows in strips(image.height_px):
         np.divide(image.pixels[rows, :, 0], at_least(fade[rows], 1e-30), out=pixels[rows, :, 0])

@@ -11,7 +11,8 @@ from synfog_usd.base import photometry
 from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.graph import Auto, Range
+from synfog_usd.camera.distortion import Pinhole
+from synfog_usd.camera.graph import Range
 from synfog_usd.camera.registry import FOV, OPS
 
 GREEN_NM = (380.0, 400.0, 420.0, 450.0, 500.0, 530.0, 560.0, 600.0, 650.0, 700.0, 780.0)
@@ -29,7 +30,6 @@ def windscreen(
     wavelength_nm: Annotated[tuple[float, ...], Range(300.0, 1200.0)] = GREEN_NM,
     transmittance: Annotated[tuple[float, ...], Range(0.0, 1.0)] = GREEN_T,
     fov_x_deg: Annotated[float | None, Range(0.0, 179.0, above=True), FOV] = None,
-    shift_y: Annotated[float, Range(-10.0, 10.0), Auto()] = 0.0,
 ) -> Image:
     """A view through a windscreen: dimmed, tinted, and with a second image of what is bright.
 
@@ -49,7 +49,6 @@ def windscreen(
         transmittance: of the pane across its surface, its faces' reflections included [1].  By default an estimate of
             green laminated glass; UN Regulation 43 asks for 0.70 and more of illuminant A.
         fov_x_deg: horizontal angle of view [degrees]; needed where the faces are not parallel.
-        shift_y: offset of the axis from the centre, in image heights, up.
 
     Raises:
         ImageError: a table that does not rise, or lets more pass than its faces do; no angle of view.
@@ -67,7 +66,7 @@ def windscreen(
             )
         if fov_x_deg is None:
             raise ImageError(f"the second image needs the angle of view: {FOV.hint}, or set wedge_mrad: 0")
-        ghost = _lowered(ghost, apart, fov_x_deg, shift_y)
+        ghost = _lowered(ghost, apart, Pinhole.of(image, fov_x_deg))
     return image.with_pixels(pixels + ghost).with_metadata(second_image_arcmin=math.degrees(apart) * 60.0)
 
 
@@ -115,7 +114,7 @@ def _shares(
             f"{clear:.4g} pass"
         )
     pane = np.interp(photometry.WAVELENGTHS_NM, wavelength_nm, transmittance)
-    # T = (1 - R)^2 t / (1 - R^2 t^2) of all reflections, solved for t
+    # All reflections summed, T = (1 - R)^2 t / (1 - R^2 t^2), solved for t
     once = 2.0 * pane / ((1.0 - faces) ** 2 + np.sqrt((1.0 - faces) ** 4 + 4.0 * (faces * pane) ** 2))
     slant = 1.0 / math.sqrt(1.0 - (math.sin(math.radians(rake_deg)) / index) ** 2)
     inside, reflected = once**slant, fresnel(rake_deg, index)
@@ -126,13 +125,11 @@ def _shares(
     return first, spectra @ (straight * (reflected * inside) ** 2) / total / np.maximum(first, 1e-30)
 
 
-def _lowered(pixels: FloatArray, apart_rad: float, fov_x_deg: float, shift_y: float) -> FloatArray:
+def _lowered(pixels: FloatArray, apart_rad: float, view: Pinhole) -> FloatArray:
     """A picture turned downwards by an angle; straight lines between rows, the border's row beyond them."""
-    height, width = pixels.shape[:2]
-    focal_px = width / 2.0 / math.tan(math.radians(fov_x_deg) / 2.0)
-    axis = height / 2.0 - shift_y * height
-    below = np.arctan((np.arange(height) + 0.5 - axis) / focal_px) - apart_rad
-    row = np.clip(np.tan(below) * focal_px + axis - 0.5, 0.0, height - 1.0)
+    height, axis = view.height_px, view.axis_px[1]
+    below = np.arctan((np.arange(height) - axis) / view.focal_px) - apart_rad
+    row = np.clip(np.tan(below) * view.focal_px + axis, 0.0, height - 1.0)
     first = np.minimum(row.astype(np.int64), max(height - 2, 0))
     part = (row - first).astype(np.float32)[:, None, None]
     return np.asarray(pixels[first] * (1.0 - part) + pixels[np.minimum(first + 1, height - 1)] * part)

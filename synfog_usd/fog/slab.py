@@ -130,7 +130,7 @@ def solve(medium: FogMedium, *, bottom_m: float, top_m: float, ground: float, st
     tau = float(medium.optical_depth(bottom_m, top_m, top_m - bottom_m))
     node, weight = np.polynomial.legendre.leggauss(streams // 2)
     mu, root = (node + 1.0) / 2.0, np.sqrt(weight / 2.0)
-    P = np.polynomial.legendre.legvander(mu, streams - 1) * root[:, None]
+    P = np.asarray(np.polynomial.legendre.legvander(mu, streams - 1) * root[:, None], np.float64)
     strength = albedo * (2.0 * np.arange(streams) + 1.0) * (chi[:streams] - peak) / (1.0 - peak)
     thick = tau * remaining
     k, S, D = _modes(P, strength, mu, thick)

@@ -17,23 +17,22 @@ BARREL = (-0.3, 0.1, 0.001, -0.002, -0.02)
 PINCUSHION = (0.2, -0.05, 0.0, 0.001)
 RATIONAL = (0.9, 0.2, 0.0005, -0.0003, 0.01, 1.2, 0.35, 0.02)
 SIZE = (240, 321)
-VIEW = {"fov_x_deg": 62.0, "shift_x": 0.03, "shift_y": -0.05}
+FOV, SHIFT = 62.0, (0.03, -0.05)
 
 
-def light(planes) -> Image:
-    return Image(np.asarray(planes, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE)
+def light(planes, shift=SHIFT) -> Image:
+    offset = {"shift_x": shift[0], "shift_y": shift[1]}
+    return Image(np.asarray(planes, np.float32), ("R", "G", "B"), Quantity.IRRADIANCE, provenance=offset)
 
 
 def pinhole(height=SIZE[0], width=SIZE[1]):
     """Focal length and centre, OpenCV's (the first pixel is 0): right and up are positive shifts."""
-    focal = width / 2 / math.tan(math.radians(VIEW["fov_x_deg"]) / 2)
-    return focal, (width - 1) / 2 + VIEW["shift_x"] * width, (height - 1) / 2 - VIEW["shift_y"] * height
+    focal = width / 2 / math.tan(math.radians(FOV) / 2)
+    return focal, (width - 1) / 2 + SHIFT[0] * width, (height - 1) / 2 - SHIFT[1] * height
 
 
 def warp(coefficients, fit="inside", size=SIZE):
-    return distortion.warp_of(
-        distortion.Pinhole(*size, VIEW["fov_x_deg"], (VIEW["shift_x"], VIEW["shift_y"])), coefficients, fit
-    )
+    return distortion.warp_of(distortion.Pinhole(*size, FOV, SHIFT), coefficients, fit)
 
 
 def projected(rows, columns, found, coefficients):
@@ -73,7 +72,7 @@ def test_a_smooth_picture_is_read_between_its_pixels():
         return 10.0 + 3.0 * np.cos(2 * math.pi * column / 8.0) + 3.0 * np.sin(2 * math.pi * row / 8.0)
 
     out = distortion.distortion(
-        light(np.repeat(wave(rows, columns)[..., None], 3, axis=2)), coefficients=BARREL, **VIEW
+        light(np.repeat(wave(rows, columns)[..., None], 3, axis=2)), coefficients=BARREL, fov_x_deg=FOV
     )
     matrix = np.array(out.provenance["camera_matrix_px"])
     points = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
@@ -93,7 +92,7 @@ def test_a_lamp_gets_no_ring_and_keeps_its_radiance():
     """
     plane = np.ones((*SIZE, 3))
     plane[60, 200] += 1e6
-    out = distortion.distortion(light(plane), coefficients=BARREL, **VIEW).pixels[..., 1].astype(float)
+    out = distortion.distortion(light(plane), coefficients=BARREL, fov_x_deg=FOV).pixels[..., 1].astype(float)
     found = warp(BARREL)
     away = np.hypot(found.row - 60, found.column - 200)
     np.testing.assert_allclose(out[away > 2.0], 1.0, atol=0.1)
@@ -108,25 +107,26 @@ def test_a_lamp_gets_no_ring_and_keeps_its_radiance():
 def test_a_lens_without_distortion_changes_nothing():
     image = light(np.ones((3, 5, 3)))
     assert (
-        distortion.distortion(image, coefficients=None, **VIEW) is image
-        and distortion.distortion(image, coefficients=(), **VIEW) is image
+        distortion.distortion(image, coefficients=None, fov_x_deg=FOV) is image
+        and distortion.distortion(image, coefficients=(), fov_x_deg=FOV) is image
     )
     np.testing.assert_allclose(
-        distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), **VIEW).pixels, 1.0, rtol=1e-6
+        distortion.distortion(image, coefficients=(0.0, 0.0, 0.0, 0.0), fov_x_deg=FOV).pixels, 1.0, rtol=1e-6
     )
 
 
 @pytest.mark.parametrize(
-    ("coefficients", "view", "message"),
+    ("coefficients", "fov_x_deg", "shift", "message"),
     [
-        ((0.1, 0.2), VIEW, "2 distortion coefficients; it takes"),
-        ((-0.6, 0.0, 0.0, 0.0), VIEW | {"fov_x_deg": 100.0}, r"fold the picture over from \d+ degrees off the axis on"),
-        (BARREL, VIEW | {"shift_x": 0.7}, "the axis is at column 385, row 132, outside the picture of 321 x 240"),
+        ((0.1, 0.2), FOV, SHIFT, "2 distortion coefficients; it takes"),
+        (BARREL, FOV, ("left", 0.0), "shift_x and shift_y are 'left' and 0.0; each is from -10 to 10"),
+        ((-0.6, 0.0, 0.0, 0.0), 100.0, SHIFT, r"fold the picture over from \d+ degrees off the axis on"),
+        (BARREL, FOV, (0.7, -0.05), "the axis is at column 385, row 132, outside the picture of 321 x 240"),
     ],
 )
-def test_what_cannot_be_warped_is_refused(coefficients, view, message):
+def test_what_cannot_be_warped_is_refused(coefficients, fov_x_deg, shift, message):
     with pytest.raises(ImageError, match=message):
-        distortion.distortion(light(np.ones((*SIZE, 3))), coefficients=coefficients, **view)
+        distortion.distortion(light(np.ones((*SIZE, 3)), shift), coefficients=coefficients, fov_x_deg=fov_x_deg)
 
 
 GRAPH = """synfog: graph/1
@@ -211,12 +211,7 @@ def test_a_picture_rendered_for_the_lens_is_as_sharp_as_its_pixels(tmp_path, fov
         for down in (False, True):
             wave = np.repeat(bent_wave(rendered, taken, cycles, down)[..., None], 3, axis=2)
             out = distortion.distortion(
-                light(wave),
-                coefficients=BENT,
-                fov_x_deg=rendered.fov_x_deg,
-                shift_x=rendered.shift[0],
-                shift_y=rendered.shift[1],
-                view=view,
+                light(wave, rendered.shift), coefficients=BENT, fov_x_deg=rendered.fov_x_deg, view=view
             )
             assert out.pixels.shape == (96, 128, 3) and out.provenance["fov_x_deg"] == fov_x_deg
             for where, (row, column) in patches.items():

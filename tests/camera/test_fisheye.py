@@ -21,6 +21,7 @@ from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import optics
 from synfog_usd.camera.fisheye import of_graph
 from synfog_usd.camera.graph import make_graph
+from synfog_usd.camera.profiles import load_lens
 from synfog_usd.camera.writers import read_exr
 from synfog_usd.camera.writers.opcodes import opcode_list
 from synfog_usd.dataset import scenes
@@ -179,14 +180,14 @@ def test_fog_is_the_same_behind_it_by_another_model(model):
     np.testing.assert_allclose(found, 1.0, atol=0.2)
 
 
-def picture(falloff, lens=F_THETA, **more):
+def picture(falloff, lens=F_THETA, glass=None):
     image = Image(
         np.ones((SIZE[1], SIZE[0], 3), np.float32),
         ("R", "G", "B"),
         Quantity.RADIANCE,
         provenance={"fisheye_coefficients": list(lens.coefficients), "fisheye_fov_x_deg": lens.fov_x_deg},
     )
-    return optics.irradiance(image, f_number=2.0, transmission=1.0, falloff=falloff, **more)
+    return optics.irradiance(image, f_number=2.0, transmission=1.0, falloff=falloff, lens=glass)
 
 
 def test_the_falloff_is_the_lens_s_own():
@@ -195,7 +196,9 @@ def test_the_falloff_is_the_lens_s_own():
     angle = np.hypot(x - SIZE[0] / 2, y - SIZE[1] / 2) / PX_A_RAD
     axis = np.pi / 17.0
     np.testing.assert_allclose(picture("projection").pixels[..., 0], axis * np.sin(angle) / angle, rtol=1e-5)
-    found = picture("table", field_deg=(0.0, 150.0), relative_illumination=(1.0, 0.0)).pixels[..., 0]
+    found = picture(
+        "table", glass=replace(load_lens("pixel4a"), field_deg=(0.0, 150.0), relative_illumination=(1.0, 0.0))
+    ).pixels[..., 0]
     np.testing.assert_allclose(found, axis * (1.0 - np.degrees(angle) / 150.0), rtol=1e-5)
     with pytest.raises(ImageError, match="falloff cos4 is a pinhole's"):
         picture("cos4")

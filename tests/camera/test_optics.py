@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,7 +74,12 @@ TABLE = {"field_deg": (0.0, 10.0, 30.0), "relative_illumination": (1.0, 0.9, 0.5
 def test_a_table_is_read_at_the_angle_of_each_pixel():
     """The 41 columns of a row over 50 degrees, by a pinhole's geometry; straight lines between the entries, by hand."""
     image = optics.irradiance(
-        radiance(np.ones((1, 41, 3))), f_number=2.0, transmission=1.0, falloff="table", fov_x_deg=50.0, **TABLE
+        radiance(np.ones((1, 41, 3))),
+        f_number=2.0,
+        transmission=1.0,
+        falloff="table",
+        fov_x_deg=50.0,
+        lens=replace(load_lens("pixel4a"), **TABLE),
     )
     focal = 20.5 / math.tan(math.radians(25.0))
     angle = np.degrees(np.arctan(np.abs(np.arange(41) - 20) / focal))

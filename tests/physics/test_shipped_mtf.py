@@ -45,8 +45,8 @@ def size(graph: NodeGraph) -> tuple[int, int]:
     return SURROUND if graph.nodes_with("optics.fisheye") else (TAKEN.height_px, TAKEN.width_px)
 
 
-def radiance(graph: NodeGraph, cycles: float, down: bool) -> tuple[Image, dict[str, object]]:
-    """A wave of so many cycles per pixel that is taken, as what is rendered averages it; and what a bake says of it."""
+def radiance(graph: NodeGraph, cycles: float, down: bool) -> Image:
+    """A wave of so many cycles per pixel that is taken, as what is rendered averages it, with a bake's provenance."""
     if not graph.nodes_with("optics.distortion"):
         height, width = size(graph)
         along = np.arange(height)[:, None] if down else np.arange(width)[None, :]
@@ -54,7 +54,7 @@ def radiance(graph: NodeGraph, cycles: float, down: bool) -> tuple[Image, dict[s
         view = {} if graph.nodes_with("optics.fisheye") else {"fov_x_deg": TAKEN.fov_x_deg}
         return Image(
             np.repeat(wave[..., None], 3, axis=2).astype(np.float32), CHANNELS, Quantity.RADIANCE, provenance=view
-        ), {}
+        )
     shown = distortion.to_render(graph, TAKEN)
     k1, k2, *none = graph.profiles["lens"].distortion
     assert not any(none)
@@ -66,9 +66,9 @@ def radiance(graph: NodeGraph, cycles: float, down: bool) -> tuple[Image, dict[s
     bent = (y[:, None] if down else x[None, :]) * (1.0 + k1 * r2 + k2 * r2**2)
     wave = 1.0 + 0.1 * np.cos(2 * np.pi * cycles * (bent * TAKEN.focal_px + TAKEN.axis_px[1 if down else 0]))
     wave = wave.reshape(shown.height_px, 6, shown.width_px, 6).mean(axis=(1, 3))
-    settings = {"fov_x_deg": shown.fov_x_deg, "shift_x": shown.shift[0], "shift_y": shown.shift[1]}
-    settings["view"] = [TAKEN.height_px, TAKEN.width_px, TAKEN.fov_x_deg, *TAKEN.shift]
-    return Image(np.repeat(wave[..., None], 3, axis=2).astype(np.float32), CHANNELS, Quantity.RADIANCE), settings
+    view = {"fov_x_deg": shown.fov_x_deg, "shift_x": shown.shift[0], "shift_y": shown.shift[1]}
+    view["view"] = [TAKEN.height_px, TAKEN.width_px, TAKEN.fov_x_deg, *TAKEN.shift]
+    return Image(np.repeat(wave[..., None], 3, axis=2).astype(np.float32), CHANNELS, Quantity.RADIANCE, provenance=view)
 
 
 def contrast(plane: np.ndarray, place: tuple[int, int], cycles: float, down: bool) -> float:
@@ -114,8 +114,8 @@ def test_a_shipped_camera_is_as_sharp_as_its_lens(name):
         sharp *= math.exp(-2 * (math.pi * (lens.spot_um or 0.0) / chip.pixel_pitch_um * cycles) ** 2)
         sharp *= 1.0 - (lens.glare_fraction if graph.nodes_with("optics.glare") else 0.0)
         for down in (False, True):
-            image, settings = radiance(graph, cycles, down)
-            out = graph.run(dict.fromkeys(graph.inputs, image), seed=0, settings=settings, until=last)[last]
+            image = radiance(graph, cycles, down)
+            out = graph.run(dict.fromkeys(graph.inputs, image), seed=0, until=last)[last]
             assert out.pixels.shape == (*size(graph), 3)
             for where, parts in PLACES.items():
                 place = tuple(max(RIM_PX, int(part * length)) for part, length in zip(parts, size(graph), strict=True))
