@@ -8,8 +8,5 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
 """c in vacuum, SI Brochure 9 (2019)."""
 
-ELEMENTARY_CHARGE_C = 1.602176634e-19
-"""e, SI Brochure 9 (2019)."""
-
 LUMINOUS_EFFICACY_LM_W = 683.002
-"""K_m of the CIE 1931 observer [lm/W], CIE S 010 (683 lm/W at 540 THz, 555.016 nm)."""
+"""K_m of the CIE 1931 observer [lm/W], CIE S 010."""

@@ -1,7 +1,6 @@
-"""Ops that spread each point of the picture: diffraction, and focus elsewhere.
+"""Op that spreads each point of the picture: diffraction.
 
-Irradiance in, irradiance out; `spread` does the work, and what is not worth doing is
-left out here.
+Irradiance in, irradiance out; `spread` does the work, and what is not worth computing is left out here.
 """
 
 from __future__ import annotations
@@ -16,21 +15,20 @@ import numpy as np
 
 from synfog_usd.base import photometry
 from synfog_usd.base.arrays import Array, FloatArray, Indices
-from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import response, spread
 from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 
-DISC_MAX_PX = 2048.0
-"""Widest disc of a lens out of focus."""
-
 UNSEEN = 0.001
 """Change, as a part of the mean level or of a contrast, that is not worth computing."""
 
 BROADBAND_ERROR = 0.0005
 """Part of the contrast up to which one wavelength may stand for all channels."""
+
+NONE_Q, NONE_SPOT = 0.134, 1.1
+"""RMS change of a picture over its contrast, for each lambda N / pitch and for each (spot / pitch)^2."""
 
 CROP_PX = 256
 
@@ -50,40 +48,31 @@ def diffraction(
 ) -> Image:
     """Blur of a round aperture, and of the errors of the glass behind it.
 
-    OTF = 2/pi (acos v - v sqrt(1 - v^2)), v = frequency * lambda N / pitch, times
-    exp(-2 (pi spot frequency / pitch)^2).  Pixels are radiance averaged over their own
-    area already, so nothing else is multiplied in.
+    OTF = 2/pi (acos v - v sqrt(1 - v^2)), v = frequency * lambda N / pitch.  The spot s of the glass multiplies it by
+    exp(-2 (pi s f / pitch)^2).  Pixels are radiance averaged over their own area already, so nothing else is multiplied in.
 
-    That OTF ends at the pixels' Nyquist frequency with a step, which would draw a
-    cross around a lamp.  What exceeds `HIGHLIGHT` times the frame's 95th
-    percentile is therefore taken for points of light, and each is spread as the
-    diffraction disc integrated over pixels.
+    That OTF ends at the pixels' Nyquist frequency with a step, which would draw a cross around a lamp.  So what exceeds
+    8 times the frame's 95th percentile is taken for points of light, each spread as the disc integrated over pixels.
 
-    The provenance gets `diffraction_mode`, and `diffraction_error`: the RMS
-    difference to a blur by the whole spectrum of the channel, as a part of the mean
-    level, in the 256 x 256 pixels around the highest contrast (lamps cut off),
-    computed from their spectrum, the worst of the first, middle and last channel.
+    The provenance gets `diffraction_mode` and `diffraction_error`.  The error is the RMS difference to a blur by the
+    whole spectrum of the channel, as a part of the mean level, the worst of three channels.  It is computed in the
+    256 x 256 pixels around the highest contrast, lamps cut off.
 
     Args:
         image: irradiance (H, W, C).
-        mode: band takes one mean wavelength for each channel, broadband one for all,
-            none leaves the picture as it is.  auto leaves out what does not show
-            (RMS contrast * (0.134 * lambda N / pitch + 1.1 * (spot / pitch)^2) < 0.001, no
-            point of light, and measured error < 0.001); else it takes broadband for more than three
-            channels if its measured error is below 0.0005 of the contrast, else band.
+        mode: band takes one mean wavelength for each channel, broadband one for all, none leaves the picture as it is.
+            auto takes none where neither points of light nor an error of 0.001 show; else broadband for more than three
+            channels where its error is below 0.0005 of the contrast; else band.
         f_number: N [1].
         pixel_pitch_um: distance of the picture's pixels on the sensor [um].
         sensor: weighs the wavelengths.
-        spot_um: standard deviation of the Gaussian spot that a lens without diffraction would
-            make, the same all over the picture [um]; 0 for a perfect one.  `optics.aberrations`
-            has spots that change over the field.
+        spot_um: standard deviation of the Gaussian spot that a lens without diffraction would make, the same all over
+            the picture [um].  `optics.aberrations` has spots that change over the field.
 
     Returns:
         Irradiance, >= 0.
 
-    Source: Goodman, "Introduction to Fourier Optics", eq. 6-31.  The rule of auto
-    is a fit to blurred 1/f textures with edges, lambda N / pitch <= 1; one wavelength
-    per channel costs under 0.05 % of the contrast (3 um, f/2.8 to f/8).
+    Source: Goodman, "Introduction to Fourier Optics", eq. 6-31.
     """
     weights = spectral_weights(sensor, image.channels)
     wavelengths_nm = weights @ photometry.WAVELENGTHS_NM
@@ -102,85 +91,6 @@ def diffraction(
     return image.with_pixels(spread.blurred(image.pixels, blurs, limits)).with_metadata(
         mean_wavelengths_nm=[round(float(nm), 3) for nm in wavelengths_nm], **metadata
     )
-
-
-@OPS.op("optics.defocus", takes=Quantity.IRRADIANCE, gives=Quantity.IRRADIANCE)
-def defocus(
-    image: Image,
-    *,
-    focus_m: Annotated[float, Range(0.01)],
-    distance_m: Annotated[float | None, Range(0.01)] = None,
-    f_number: Annotated[float, Range(0.5, 64.0), FromProfile("lens.f_number")],
-    focal_length_mm: Annotated[float, Range(0.1, 2000.0), FromProfile("lens.focal_length_mm")],
-    pixel_pitch_um: Annotated[float, Range(0.3, 50.0), FromProfile("sensor.pixel_pitch_um")],
-) -> Image:
-    """Blur of a lens that is focused nearer or farther than the scene.
-
-    A point becomes a disc of diameter c = f^2 / (N (s - f)) * |d - s| / d on the
-    sensor; OTF = 2 J1(x) / x, x = pi c frequency.  Lamps become discs integrated over
-    pixels.
-
-    One distance for the whole picture.  Rays, not waves: times the OTF of
-    `optics.diffraction` it is not quite that of a defocused lens, which Hopkins'
-    integral gives.  The largest difference at any frequency is 0.062 for a disc of
-    0.8 lambda N (the product has too little contrast), 0.246 for 3.2, 0.130 for 8,
-    0.047 for 32 and 0.029 for 64: exact only for discs far wider than the Airy disc.
-
-    The provenance gets `defocus_px`, the diameter, and `defocus_change`: what the
-    finest diagonal frequency of the pixels loses of its contrast [1].  Below 0.001
-    the picture is left as it is.
-
-    Args:
-        image: irradiance (H, W, C).
-        focus_m: distance s of the plane that is sharp [m], beyond the focal length.
-        distance_m: distance d of the scene [m]; empty for a far one.
-        f_number: N [1].
-        focal_length_mm: f [mm].
-        pixel_pitch_um: distance of the picture's pixels on the sensor [um].
-
-    Raises:
-        ImageError: the lens cannot focus so near, or the disc is wider than 2048 pixels.
-
-    Source: Goodman, "Introduction to Fourier Optics", section 6.4; Hopkins, "The
-    frequency response of a defocused optical system", Proc. R. Soc. A 231 (1955).
-    """
-    from scipy.special import j1
-
-    disc_px = blur_disc_um(focus_m, distance_m, f_number=f_number, focal_length_mm=focal_length_mm) / pixel_pitch_um
-
-    def transfer(frequency: FloatArray) -> Array:
-        x = np.maximum(math.pi * disc_px * np.asarray(frequency, dtype=np.float64), 1e-6)
-        return np.asarray(2.0 * j1(x) / x)
-
-    corner = np.array([math.sqrt(0.5)], dtype=np.float32)
-    change = float(1.0 - transfer(corner)[0])
-    metadata = {"defocus_px": float(f"{disc_px:.4g}"), "defocus_change": float(f"{change:.3g}")}
-    if change < UNSEEN:
-        return image.with_metadata(**metadata)
-    if disc_px > DISC_MAX_PX:
-        raise ImageError(
-            f"the blur disc is {disc_px:.0f} pixels wide; the widest is {DISC_MAX_PX:.0f}: bring focus_m nearer to "
-            f"distance_m, or raise f_number"
-        )
-    blurs = [spread.Blur(transfer, spread.disc(disc_px))] * len(image.channels)
-    pixels = spread.blurred(image.pixels, blurs, spread.highlight_limits(image.pixels))
-    return image.with_pixels(pixels).with_metadata(**metadata)
-
-
-def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:
-    """Diameter [um] of the disc that a point out of focus makes; arguments as in `optics.defocus`.
-
-    >>> round(blur_disc_um(5.0, None, f_number=2.0, focal_length_mm=6.0), 3)
-    3.604
-    """
-    f_m = focal_length_mm * 1e-3
-    if focus_m <= f_m:
-        raise ImageError(
-            f"a lens of {focal_length_mm:g} mm cannot focus at focus_m {focus_m:g}; it takes a distance beyond the "
-            f"focal length"
-        )
-    relative = 1.0 if distance_m is None else abs(distance_m - focus_m) / distance_m
-    return f_m * f_m / (f_number * (focus_m - f_m)) * relative * 1e6
 
 
 def spectral_weights(sensor: SensorProfile, channels: tuple[str, ...]) -> Array:
@@ -252,12 +162,13 @@ def _aperture_transfers(per_nm: float, count: int) -> Array:
 def _chosen(
     image: Image, limits: Sequence[np.float32], mode: str, q: float, spot_px: float, measured: _Measured
 ) -> str:
+    """The mode that auto takes; `NONE_Q` and `NONE_SPOT` are a fit to blurred 1/f textures with edges, q <= 1."""
     if mode != "auto":
         return mode
     if (
         q <= 1.0
         and measured.error("none") < UNSEEN
-        and _contrast(image) * (0.134 * q + 1.1 * spot_px**2) < UNSEEN
+        and _contrast(image) * (NONE_Q * q + NONE_SPOT * spot_px**2) < UNSEEN
         and not (image.pixels.max(axis=(0, 1)) > limits).any()
     ):
         return "none"

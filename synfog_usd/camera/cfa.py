@@ -24,7 +24,7 @@ BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")
 """Patterns that any demosaicing takes."""
 
 ORDER = "RGBCI"
-"""Order in which filters are told: that of the planes of a demosaiced picture."""
+"""Order of filters: that of the planes of a demosaiced picture."""
 
 
 def filters(pattern: str) -> tuple[str, ...]:
@@ -61,11 +61,3 @@ def factors(pattern: str, values: Sequence[float] | Array, height: int, width: i
     cell = np.array([[by_filter[letter] for letter in row] for row in PATTERNS[pattern]], dtype=np.float32)
     down, across = (np.arange(size) % period for size, period in zip((height, width), cell.shape, strict=True))
     return cell[down[:, None], across]
-
-
-def mosaic_of(planes: FloatArray, pattern: str) -> FloatArray:
-    """(H, W, 1) of (H, W, F) planes: each pixel from the plane of its own filter."""
-    mosaic = np.empty((*planes.shape[:2], 1), dtype=planes.dtype)
-    for where, number in sites(pattern):
-        mosaic[(*where, 0)] = planes[(*where, number)]
-    return mosaic

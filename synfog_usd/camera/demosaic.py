@@ -18,7 +18,6 @@ from synfog_usd.base.image import Image
 from synfog_usd.base.science import colour_science
 from synfog_usd.camera import cfa
 from synfog_usd.camera.graph import FromProfile
-from synfog_usd.camera.graph.buffers import checked, pixels_of, to_buf
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
@@ -77,32 +76,34 @@ def demosaic(
     elif algorithm == "directional":
         pixels = _directional(image.pixels[..., 0], pattern)
     else:
-        import OpenImageIO
-
-        name = {"linear": "linear", "mhc": "MHC"}[algorithm]
-        pixels = pixels_of(
-            checked(
-                OpenImageIO.ImageBufAlgo.demosaic(to_buf(image), pattern="bayer", algorithm=name, layout=pattern),
-                "demosaic",
-            )
-        )
+        pixels = _linear(image.pixels, pattern, {"linear": "linear", "mhc": "MHC"}[algorithm])
     return image.with_pixels(pixels, channels=letters).with_metadata(demosaic=algorithm)
+
+
+def _linear(mosaic: FloatArray, pattern: str, algorithm: str) -> FloatArray:
+    """(H, W, 3) of a Bayer mosaic (H, W, 1) by one of OpenImageIO's filters, whose failed calls return an empty buffer."""
+    import OpenImageIO
+
+    buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(mosaic))
+    planes = OpenImageIO.ImageBufAlgo.demosaic(buffer, pattern="bayer", algorithm=algorithm, layout=pattern)
+    if planes.has_error or not planes.initialized:
+        raise ImageError(f"OpenImageIO could not demosaic: {planes.geterror()}")
+    return np.asarray(planes.get_pixels(OpenImageIO.FLOAT), dtype=np.float32).reshape(*mosaic.shape[:2], 3)
 
 
 def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     """(H, W, 3) of a Bayer mosaic: colour differences along rows and along columns, the smoother of the two counting
     more.
 
-    Along a row of red and green, s (x - g(x)) with g the second-order interpolation of
-    Hamilton and Adams and s = -1 at green sites is red - green at every site; so along
-    columns.  With d_h and d_v how much these change within 5 x 5 sites, the difference at a red site is
-    (d_v^2 h + d_h^2 v) / (d_v^2 + d_h^2): along an edge where there is one, the mean of both, and so
-    half the noise, where there is none.  Between its sites it is interpolated linearly, which leaves no colour of one
-    pixel.
+    g(x) is the second-order interpolation of Hamilton and Adams along a row of red and green.  s (x - g(x)), with
+    s = -1 at green sites, is red - green at every site of the row; columns alike.  d_h and d_v say how much these
+    differences h and v change within 5 x 5 sites.  The difference at a red site is
+    (d_v^2 h + d_h^2 v) / (d_v^2 + d_h^2).  Along an edge it is the one along it; where there is none it is the mean of
+    both, with half the noise.  Between its sites it is interpolated linearly.
 
-    Source: interpolation: Hamilton and Adams, US patent 5 629 734 (1997); differences at all sites: Zhang and
-    Wu, "Color demosaicking via directional linear minimum mean square-error estimation" (2005);
-    weights: Pekkucuksen and Altunbasak, "Gradient based threshold free color filter array interpolation" (2010).
+    Source: interpolation: Hamilton and Adams (1997), US patent 5629734.  Differences at all sites: Zhang and Wu (2005),
+    "Color demosaicking via directional linear minimum mean square-error estimation".  Weights: Pekkucuksen and
+    Altunbasak (2010), "Gradient based threshold free color filter array interpolation".
     """
     height, width = mosaic.shape
     signed = np.pad(mosaic, HALO_PX, mode="reflect")
@@ -137,7 +138,7 @@ def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out
 
 
 def _differences(signed: FloatArray) -> FloatArray:
-    """(H + 2, W + 2) colour differences of rows (H, W) and one pixel around, of (H + 12, W + 12) signed numbers.
+    """Colour differences of rows and one pixel around (H + 2, W + 2), of signed numbers (H + 12, W + 12).
 
     All rows are taken as one line, in which the pixel below is a row's length further on: one long line is faster than
     many.
@@ -161,7 +162,7 @@ def _along(line: FloatArray, step: int, other_step: int, places: slice) -> tuple
     """16 times the smoothed colour differences between pixels `step` apart, and 10,000 times the square of how much
     they change, at some places of a line; `other_step` is the way across.
 
-    By sums of two neighbours, of which (1 2 2 2 1) and (1 2 1) are made.
+    Filters are sums of sums of two neighbours.
     """
     pairs = line[:-step] + line[step:]
     fours = pairs[: -2 * step] + pairs[2 * step :]
@@ -194,8 +195,8 @@ def _between(values: FloatArray, first: int, out: FloatArray) -> None:
 def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
     """(H, W) plane of one filter: its own pixels, and between them their mean weighted by nearness.
 
-    Normalised convolution with the tent (1 2 1)^2: linear interpolation inside, and
-    at borders the weights of the pixels that are there.
+    Normalised convolution with a tent: linear interpolation inside, and at borders the weights of the pixels that are
+    there.
 
     Source: Knutsson and Westin, "Normalized and differential convolution" (1993).
     """

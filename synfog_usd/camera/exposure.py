@@ -41,7 +41,7 @@ HIGHLIGHT_PERCENTILE = 95.0
 DAY_HIGHLIGHT, NIGHT_HIGHLIGHT = 0.55, 0.07
 """Part of saturation that the percentile may reach: a day's sky, and a road under street lamps."""
 
-BLURS = tuple(f"optics.{name}" for name in ("diffraction", "defocus", "depth_of_field", "glare", "flare", "ghosts"))
+BLURS = tuple(f"optics.{name}" for name in ("diffraction", "depth_of_field", "glare", "flare", "ghosts"))
 """Left out when metering: in a small copy they would spread a lamp over streets."""
 
 METER_WIDTH_PX = 320

@@ -15,12 +15,14 @@ from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import spread
-from synfog_usd.camera.blur import DISC_MAX_PX, blur_disc_um
 from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.registry import OPS
 
 DEPTHS = ("depth.Z", "Z")
 """What a channel of depth is called: by a bake, and by OpenEXR's manual."""
+
+DISC_MAX_PX = 2048.0
+"""Widest disc of a lens out of focus."""
 
 FINE_PX, WIDENING = 0.5, 1.1
 """Discs of the layers: each is wider by the first, and from 5 pixels on by the second times."""
@@ -44,12 +46,12 @@ def depth_of_field(
     A point at depth d becomes a disc of diameter c = f^2 / (N (s - f)) |d - s| / d on the sensor; OTF = 2 J1(x) / x,
     x = pi c frequency; lamps (8 times the channel's 95th percentile) become discs integrated over pixels.
 
-    Layers lie at diameters of 0, 0.5, 1 and so on to 5 pixels, and each 1.1 times the last from there; a pixel belongs
+    Layers lie at diameters half a pixel apart up to 5 pixels, and each 1.1 times the last from there.  A pixel belongs
     to the two next to it, in the ratio of the squares.  A nearer layer covers what is behind by the part of its disc
     that lies on it.  Of a layer that nearer pixels hide in part, the rest is taken to be like the part that is seen;
     where none is within the disc, like what is seen around, by a Gaussian.  So nothing sharp leaks into what is blurred
-    behind it, an even picture stays even whatever its depth, and a plane of one depth is that of `optics.defocus`.
-    What a lens sees behind an edge, and a pinhole does not, is a guess.
+    behind it, and an even picture stays even whatever its depth.  What a lens sees behind an edge, and a pinhole does
+    not, is a guess.
 
     All light of a pixel is blurred as its surface is, what fog scattered on the way to it too: pictures do not tell
     from where along the ray that came.  A mirror image, and what is seen through glass, are as sharp as the glass.
@@ -88,6 +90,26 @@ def depth_of_field(
     return image.with_pixels(_focused(image.pixels, discs_px)).with_metadata(
         depth_of_field_px=[float(f"{part:.4g}") for part in (nearest, farthest)]
     )
+
+
+def blur_disc_um(focus_m: float, distance_m: float | None, *, f_number: float, focal_length_mm: float) -> float:
+    """Diameter [um] of the disc that a point out of focus makes; `distance_m` None is far away.
+
+    Raises:
+        ImageError: a lens that cannot focus so near.
+
+
+    >>> round(blur_disc_um(5.0, None, f_number=2.0, focal_length_mm=6.0), 3)
+    3.604
+    """
+    f_m = focal_length_mm * 1e-3
+    if focus_m <= f_m:
+        raise ImageError(
+            f"a lens of {focal_length_mm:g} mm cannot focus at focus_m {focus_m:g}; it takes a distance beyond the "
+            f"focal length"
+        )
+    relative = 1.0 if distance_m is None else abs(distance_m - focus_m) / distance_m
+    return f_m * f_m / (f_number * (focus_m - f_m)) * relative * 1e6
 
 
 def _plane_of(depth: Image, image: Image) -> FloatArray:

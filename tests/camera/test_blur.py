@@ -1,4 +1,4 @@
-"""Diffraction and defocus against closed forms, the Airy pattern and Hopkins' integral."""
+"""Diffraction against closed forms and the Airy pattern."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from scipy.special import j1
 
 from synfog_usd.base import photometry, seeds
-from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import blur, spread
 from synfog_usd.camera.profiles import load_sensor
@@ -149,66 +148,4 @@ def test_thick_fog_is_left_alone_and_a_lamp_in_it_is_not():
                 "diffraction_mode"
             ]
             == "band"
-        )
-
-
-# ---- defocus -----------------------------------------------------------------------
-
-LENS = {"f_number": 2.0, "focal_length_mm": 6.0, "pixel_pitch_um": 3.0}
-
-
-@pytest.mark.parametrize(("focus_m", "distance_m"), [(5.0, None), (0.5, 2.0), (3.0, 0.4)])
-def test_the_blur_disc_is_the_cone_cut_by_the_sensor(focus_m, distance_m):
-    """Thin lens: rays through the rim of the pupil, 3 mm wide, cross at the image of the scene and are cut where that
-    of the focus is.
-    """
-    f, pupil = 6e-3, 3e-3
-    sensor = 1 / (1 / f - 1 / focus_m)
-    image = f if distance_m is None else 1 / (1 / f - 1 / distance_m)
-    expected = pupil * abs(sensor - image) / image
-    assert blur.blur_disc_um(focus_m, distance_m, f_number=2.0, focal_length_mm=6.0) == pytest.approx(
-        expected * 1e6, rel=1e-9
-    )
-
-
-@pytest.mark.parametrize("focus_m, cycles", [(5.0, 96), (1.0, 32), (0.3, 8)])
-def test_contrast_of_a_grating_out_of_focus(focus_m, cycles):
-    """2 J1(x) / x, negative where the phase is turned; discs of 1.2, 6 and 20 pixels."""
-    frequency = cycles / 256
-    wave = np.cos(2 * math.pi * frequency * (np.arange(256) + 0.5))
-    out = blur.defocus(light(np.tile(1 + 0.5 * wave, (200, 1))), focus_m=focus_m, **LENS)
-    x = math.pi * frequency * blur.blur_disc_um(focus_m, None, f_number=2.0, focal_length_mm=6.0) / 3.0
-    row = out.pixels[100, :, 1].astype(np.float64)
-    assert 2 * np.mean((row * wave)[64:192]) / np.mean(row[64:192]) / 0.5 == pytest.approx(2 * j1(x) / x, abs=0.004)
-
-
-def test_a_lamp_out_of_focus_is_an_even_disc_with_all_of_its_light():
-    """Diameter c: sum 1, radius of gyration c / sqrt(8), flat inside, nothing beyond its rim; float32 sums to 1e-5."""
-    plane = np.full((161, 161), 1e-3)
-    plane[80, 80] += 1e6
-    image = blur.defocus(light(plane), focus_m=0.2, **LENS)
-    c = image.provenance["defocus_px"]
-    out = (image.pixels[..., 1].astype(np.float64) - 1e-3) / 1e6
-    y, x = np.mgrid[-80:81, -80:81]
-    assert c == pytest.approx(6e-3**2 / (2 * (0.2 - 6e-3)) / 3e-6, rel=1e-3)
-    assert out.sum() == pytest.approx(1.0, rel=1e-4)
-    assert math.sqrt(np.sum(out * (x * x + y * y)) / out.sum()) == pytest.approx(
-        math.sqrt(c * c / 8 + 1 / 6), rel=0.002
-    )
-    r = np.hypot(x, y)
-    np.testing.assert_allclose(out[r < c / 2 - 1.0], 4 / (math.pi * c * c), rtol=0.002)
-    assert np.abs(out[r > c / 2 + 1.0]).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("focus_m", "focal_mm", "message"),
-    [
-        (0.02, 50.0, "a lens of 50 mm cannot focus at focus_m 0.02"),
-        (0.2, 100.0, r"disc is \d+ pixels wide; the widest is 2048"),
-    ],
-)
-def test_what_no_lens_does_is_refused(focus_m, focal_mm, message):
-    with pytest.raises(ImageError, match=message):
-        blur.defocus(
-            light(np.ones((3, 5))), focus_m=focus_m, f_number=2.0, focal_length_mm=focal_mm, pixel_pitch_um=3.0
         )

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from support import raws
 
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ImageError
@@ -28,7 +29,7 @@ def mosaic(pixels, pattern="RGGB") -> Image:
 
 
 def of_planes(planes, pattern) -> Image:
-    return mosaic(cfa.mosaic_of(np.asarray(planes, np.float32), pattern)[..., 0], pattern)
+    return mosaic(raws.mosaic_of(np.asarray(planes, np.float32), pattern)[..., 0], pattern)
 
 
 def noise(*shape) -> np.ndarray:
@@ -52,7 +53,7 @@ def test_demosaicing_keeps_known_samples_and_even_colours(algorithm, pattern):
     assert out.channels == ("R", "G", "B")
     image = mosaic(noise(8, 10), pattern)
     out = demosaic(image, algorithm=algorithm)
-    np.testing.assert_array_equal(cfa.mosaic_of(out.pixels, pattern), image.pixels)
+    np.testing.assert_array_equal(raws.mosaic_of(out.pixels, pattern), image.pixels)
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
@@ -82,7 +83,7 @@ def test_a_mosaic_shifted_by_a_pixel_gives_the_shifted_picture(algorithm):
     """
     planes = smooth_noise(41, 43, 3)
     whole = demosaic(of_planes(planes, "RGGB"), algorithm=algorithm).pixels
-    pixels = cfa.mosaic_of(planes, "RGGB")[..., 0]
+    pixels = raws.mosaic_of(planes, "RGGB")[..., 0]
     for pattern, down, right in (("GRBG", 0, 1), ("GBRG", 1, 0), ("BGGR", 1, 1)):
         shifted = demosaic(mosaic(pixels[down:, right:], pattern), algorithm=algorithm).pixels
         np.testing.assert_allclose(shifted[8:-8, 8:-8], whole[down:, right:][8:-8, 8:-8], atol=1e-6, err_msg=pattern)

@@ -9,8 +9,7 @@ import pytest
 
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera import blur
-from synfog_usd.camera.focus import depth_of_field
+from synfog_usd.camera.focus import blur_disc_um, depth_of_field
 
 LENS = {"f_number": 2.0, "focal_length_mm": 20.0, "pixel_pitch_um": 4.0}
 FOCUS_M = 5.0
@@ -53,7 +52,7 @@ def test_a_lamp_becomes_the_disc_of_the_closed_form_and_keeps_its_light(disc_px)
 
 @pytest.mark.parametrize("disc_px", [-8.0, 4.2])
 def test_a_plane_is_that_of_one_distance(disc_px):
-    """A wave of 0.2 cycles a pixel keeps 2 J1(x) / x, as by `optics.defocus`."""
+    """A wave of 0.2 cycles a pixel keeps 2 J1(x) / x."""
     from scipy.special import j1
 
     wave = np.tile(1.0 + 0.3 * np.cos(2 * np.pi * 0.2 * np.arange(100)), (60, 1))
@@ -61,9 +60,19 @@ def test_a_plane_is_that_of_one_distance(disc_px):
     x = math.pi * abs(disc_px) * 0.2
     contrast = 2.0 * abs((found[30, 25:75] * np.exp(2j * np.pi * 0.2 * np.arange(50))).mean()) / found.mean() / 0.3
     assert contrast == pytest.approx(abs(2.0 * j1(x) / x), abs=0.006)
-    light = Image(wave[..., None].astype(np.float32), ("Y",), Quantity.IRRADIANCE)
-    whole = blur.defocus(light, focus_m=FOCUS_M, distance_m=of_disc_px(disc_px), **LENS).pixels[..., 0]
-    np.testing.assert_allclose(found, whole, atol=0.003)
+
+
+@pytest.mark.parametrize(("focus_m", "distance_m"), [(5.0, None), (0.5, 2.0), (3.0, 0.4)])
+def test_the_blur_disc_is_the_cone_cut_by_the_sensor(focus_m, distance_m):
+    """Thin lens: rays through the rim of the pupil, 3 mm wide, cross at the image of the scene and are cut where that
+    of the focus is.
+    """
+    f, pupil = 6e-3, 3e-3
+    sensor = 1 / (1 / f - 1 / focus_m)
+    image = f if distance_m is None else 1 / (1 / f - 1 / distance_m)
+    expected = pupil * abs(sensor - image) / image
+    disc_um = blur_disc_um(focus_m, distance_m, f_number=2.0, focal_length_mm=6.0)
+    assert disc_um == pytest.approx(expected * 1e6, rel=1e-9)
 
 
 def test_an_even_picture_stays_even_whatever_its_depth():

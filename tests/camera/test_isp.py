@@ -10,6 +10,7 @@ from pathlib import Path
 import colour
 import numpy as np
 import pytest
+from support import raws
 
 from synfog_usd import camera
 from synfog_usd.base import photometry, resources, seeds
@@ -144,7 +145,7 @@ def test_as_shot_makes_its_neutral_white_behind_every_pattern(pattern):
     letters = cfa.filters(pattern)
     neutral = np.linspace(0.3, 1.0, len(letters))[::-1]
     planes = np.broadcast_to(0.5 * neutral, (5, 7, len(letters))).astype(np.float32)
-    image = mosaic(cfa.mosaic_of(planes, pattern)[..., 0], pattern=pattern, as_shot_neutral=neutral.tolist())
+    image = mosaic(raws.mosaic_of(planes, pattern)[..., 0], pattern=pattern, as_shot_neutral=neutral.tolist())
     out = isp.white_balance(image, illuminant="as_shot", sensor=SENSOR)
     np.testing.assert_allclose(out.pixels, 0.5, rtol=2e-7)
     with pytest.raises(ImageError, match="does not fit the filters"):

@@ -13,6 +13,7 @@ import numpy as np
 
 from synfog_usd.base import seeds
 from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera import cfa
 
 ORDER = "RGBCI"
 D65_XYZ = np.array([0.95047, 1.0, 1.08883])
@@ -92,3 +93,11 @@ def scene(pattern: str, level: np.ndarray, xyz: np.ndarray = D65_XYZ, **more: An
         numbers = np.where(letters(pattern, level.shape) == letter, level * value, numbers)
     dn = np.clip(np.rint(black + numbers * (white - black)), 0, white)
     return Image(dn[..., None].astype(np.float32), ("CFA",), Quantity.DN, provenance=told)
+
+
+def mosaic_of(planes: np.ndarray, pattern: str) -> np.ndarray:
+    """(H, W, 1) of (H, W, F) planes: each pixel from the plane of its own filter."""
+    mosaic = np.empty((*planes.shape[:2], 1), dtype=planes.dtype)
+    for where, number in cfa.sites(pattern):
+        mosaic[(*where, 0)] = planes[(*where, number)]
+    return mosaic
