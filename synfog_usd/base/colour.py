@@ -23,8 +23,9 @@ LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
 
 
 def srgb_encode(linear: Floats, out: Floats | None = None) -> Floats:
-    """sRGB codes, 0 to 1, of linear values of any shape, cut to 0 to 1; float32 or float64, as it is given; in `out`,
-    where that is given.
+    """sRGB codes of linear values of any shape, cut to the range of a screen; of the type of `linear`.
+
+    The codes are in `out` where that is given.
 
     Source: IEC 61966-2-1.
 

@@ -32,8 +32,8 @@ class Fisheye:
     """A lens given by one polynomial, r = c1 t + c2 t^2 + ..., of the angle t to its axis.
 
     Attributes:
-        coefficients: c1, c2 ... of the angle in radians, to any common scale.  OpenCV's k1 to k4 are 1, 0, k1, 0, k2,
-            0, k3, 0, k4; an f-theta lens that keeps to its name is 1 alone.
+        coefficients: c1, c2 ... of the angle in radians, to any common scale.  OpenCV's k1 to k4 are c3, c5, c7 and
+            c9, with c1 = 1 and the rest 0; an f-theta lens that keeps to its name is 1 alone.
         fov_x_deg: what a picture sees from its left to its right edge, through the axis [degrees], up to 360.  It says
             how long c1 is.
 

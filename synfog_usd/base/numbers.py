@@ -1,5 +1,4 @@
-"""Ranges of what a render may be asked for: one place for the command line, which refuses at once, and for the
-renderer.
+"""Ranges of what a render may be asked for, for the command line and for the renderer.
 
 Takes numbers, or the text in which they are typed; raises for those out of range, in the words of the command line.
 Imports nothing heavy.
@@ -188,7 +187,7 @@ def check_distance(metres: float | None) -> None:
 
 
 def seconds_of(text: str, option: str = "--exposure") -> float:
-    """Seconds of 1/200, 0.005 or 5e-3.
+    """Seconds of 1/200 or 0.005.
 
     Raises:
         ParameterError: it is neither, or not above 0.

@@ -75,7 +75,7 @@ def channel_spectra(channels: tuple[str, ...]) -> Array:
         channels: ('R', 'G', 'B'), or two and more bands in rising order.
 
     Returns:
-        (C, 401) float64 on `WAVELENGTHS_NM`, W m-2 sr-1 nm-1 per unit of the channel.
+        A row for each channel on `WAVELENGTHS_NM`, float64, W m-2 sr-1 nm-1 per unit of the channel.
 
     Raises:
         ImageError: other channels.
@@ -121,12 +121,12 @@ def illuminant(name: str) -> Array:
 
 @functools.lru_cache(maxsize=1)
 def observer() -> Array:
-    """(3, 401) colour matching functions of the CIE 1931 2 degree observer on `WAVELENGTHS_NM`."""
+    """Rows x, y and z of the colour matching functions of the CIE 1931 observer on `WAVELENGTHS_NM`."""
     return np.array([tables.table(tables.STANDARD)[f"{axis}_bar"] for axis in "xyz"])
 
 
 def luminance_of(spectrum: Array) -> float:
-    """Luminance [cd m-2] of a spectral radiance [W m-2 sr-1 nm-1] on `WAVELENGTHS_NM`."""
+    """Luminance in nits of a spectral radiance [W m-2 sr-1 nm-1] on `WAVELENGTHS_NM`."""
     return LUMINOUS_EFFICACY_LM_W * float(np.sum(spectrum * observer()[1]))
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 from types import ModuleType
-from typing import Any
 
 _DRAWINGS = "colour.plotting"
 
 
-def colour_science() -> Any:
+def colour_science() -> ModuleType:
     """The module `colour`, imported on the first call; its `plotting`, which brings Matplotlib, stays out."""
     if "colour" in sys.modules:
         return sys.modules["colour"]

@@ -12,11 +12,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
 from synfog_usd.base.errors import GraphError, SynfogError
+
+T = TypeVar("T")
 
 MAX_BYTES = 1 << 20
 MAX_NODES = 20_000
@@ -58,7 +60,7 @@ class Located:
         return self.value
 
 
-def switch(value: object) -> Any:
+def switch(value: T) -> T | bool:
     """True or false for a word that means it, in a file or behind --set; any other value as it is."""
     return SWITCHES.get(value.lower(), value) if isinstance(value, str) else value
 
@@ -189,7 +191,7 @@ class _Builder:
                 ) from problem
         return Located(value, place, key_place)
 
-    def scalar(self, node: yaml.ScalarNode) -> Any:
+    def scalar(self, node: yaml.ScalarNode) -> str | int | float | bool | None:
         kind = node.tag.rsplit(":", 1)[-1]
         if kind == "bool" and node.value.lower() not in ("true", "false"):
             return node.value

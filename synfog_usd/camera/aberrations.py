@@ -180,8 +180,8 @@ def spread_by_place(
     Args:
         plane: light, >= 0.
         reach: pixels from which on a spot has no light.
-        transfers: by the side of a square, what gives the real transform of a spot at a row and a column of the
-            picture, and of a lamp's spot where the third is true.
+        transfers: side of a square -> what gives the real transform of a spot by its row and column in the picture;
+            of a lamp's spot where its third argument is true.
     """
     from scipy import fft
 

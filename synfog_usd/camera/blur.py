@@ -49,7 +49,7 @@ def diffraction(
     """Blur of a round aperture, and of the errors of the glass behind it.
 
     OTF = 2/pi (acos v - v sqrt(1 - v^2)), v = frequency * lambda N / pitch.  The spot s of the glass multiplies it by
-    exp(-2 (pi s f / pitch)^2).  Pixels are radiance averaged over their own area already, so nothing else is multiplied in.
+    exp(-2 (pi s f / pitch)^2).  Pixels are radiance averaged over their own area already.
 
     That OTF ends at the pixels' Nyquist frequency with a step, which would draw a cross around a lamp.  So what exceeds
     8 times the frame's 95th percentile is taken for points of light, each spread as the disc integrated over pixels.

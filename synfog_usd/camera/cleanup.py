@@ -149,7 +149,7 @@ def false_colour(image: Image) -> Image:
     Args:
         image: picture behind `isp.demosaic`; one without R, G and B stays as it is.
 
-    Source: Freeman, "Median filter for reconstructing missing color samples", US patent 4 724 395 (1988).
+    Source: Freeman, "Median filter for reconstructing missing color samples", US patent 4724395 (1988).
     """
     if image.channels != ("R", "G", "B"):
         return image

@@ -8,7 +8,8 @@ colour-demosaicing are imported on first use.
 from __future__ import annotations
 
 import warnings
-from typing import Annotated, Any, Literal
+from types import ModuleType
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def demosaic(
 
 
 def _linear(mosaic: FloatArray, pattern: str, algorithm: str) -> FloatArray:
-    """(H, W, 3) of a Bayer mosaic (H, W, 1) by one of OpenImageIO's filters, whose failed calls return an empty buffer."""
+    """(H, W, 3) of a Bayer mosaic (H, W, 1) by a filter of OpenImageIO, whose failed calls give empty buffers."""
     import OpenImageIO
 
     buffer = OpenImageIO.ImageBuf(np.ascontiguousarray(mosaic))
@@ -138,7 +139,7 @@ def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out
 
 
 def _differences(signed: FloatArray) -> FloatArray:
-    """Colour differences of rows and one pixel around (H + 2, W + 2), of signed numbers (H + 12, W + 12).
+    """Colour differences of the rows and of one pixel around; `signed` has `HALO_PX` more on each side than the rows.
 
     All rows are taken as one line, in which the pixel below is a row's length further on: one long line is faster than
     many.
@@ -220,7 +221,7 @@ def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
     return plane
 
 
-def _colour_demosaicing() -> Any:
+def _colour_demosaicing() -> ModuleType:
     """The module `colour_demosaicing`; imported on the first call, without SciPy's remark on how it imports."""
     colour_science()
     with warnings.catch_warnings():

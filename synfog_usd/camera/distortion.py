@@ -70,9 +70,7 @@ def distortion(
 ) -> Image:
     """Straight lines become curves, as the lens's calibration says.
 
-    A direction (x, y) = (X / Z, Y / Z) goes to x' = q x + 2 p1 x y + p2 (r^2 + 2 x^2), and y' alike with p1 and p2
-    changed over.  The pixel is (fx x' + cx, fy y' + cy).  The quotient q is
-    (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
+    A direction goes where OpenCV's `projectPoints` puts it, by the radial terms k1 to k6 and the tangential p1 and p2.
 
     Stands after `optics.irradiance`, whose falloff goes by the angle to the axis, and before blurs.  Pixels are read
     from a cubic spline, kept between 0.9 of the least and 1.1 of the greatest of the nearest four, so that no edge gets
@@ -160,13 +158,13 @@ def shift_of(image: Image) -> tuple[float, float]:
     Raises:
         ImageError: it says no number within 10.
     """
-    said = image.provenance.get("shift_x", 0.0), image.provenance.get("shift_y", 0.0)
+    offset = image.provenance.get("shift_x", 0.0), image.provenance.get("shift_y", 0.0)
     try:
-        right, up = float(said[0]), float(said[1])
+        right, up = float(offset[0]), float(offset[1])
     except (TypeError, ValueError):
         right = up = math.nan
     if not (abs(right) <= MOST_SHIFT and abs(up) <= MOST_SHIFT):
-        raise ImageError(f"the image's shift_x and shift_y are {said[0]!r} and {said[1]!r}; each is from -10 to 10")
+        raise ImageError(f"the image's shift_x and shift_y are {offset[0]!r} and {offset[1]!r}; each is from -10 to 10")
     return right, up
 
 

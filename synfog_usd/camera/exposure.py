@@ -161,21 +161,15 @@ def meter(
     sharp = graph.without([node.name for op in BLURS for node in graph.nodes_with(op)])
     a_second = {f"{node.name}.exposure_s": 1.0 for node in nodes} | {f"{node.name}.readout_s": 0.0 for node in nodes}
 
-    def seen(node: Node, frame: Image) -> Image:
-        return sharp.run(
-            _steady(graph, frame),
-            seed=0,
-            settings={"exposure_s": 1.0},
-            overrides=a_second,
-            until=node.name,
-            keep=[node.name],
-        )[node.name]
+    def electrons(node: Node, frame: Image) -> Image:
+        inputs, name = _steady(graph, frame), node.name
+        return sharp.run(inputs, seed=0, settings={"exposure_s": 1.0}, overrides=a_second, until=name)[name]
 
     frames = [_small(picture) for picture in (radiance, *side_frames)]
-    changed_nodes = {node.name: seen(node, frames[0]) for node in nodes}
-    chosen = max(nodes, key=lambda node: float(changed_nodes[node.name].pixels.mean(dtype=np.float64)))
+    exposed_frames = {node.name: electrons(node, frames[0]) for node in nodes}
+    chosen = max(nodes, key=lambda node: float(exposed_frames[node.name].pixels.mean(dtype=np.float64)))
     own_e, merged_e = _saturation_e(sharp, radiance, sensor)
-    sites = [_sites(changed_nodes[chosen.name]), *(_sites(seen(chosen, frame)) for frame in frames[1:])]
+    sites = [_sites(exposed_frames[chosen.name]), *(_sites(electrons(chosen, frame)) for frame in frames[1:])]
     fixed_s = None if chosen.params["exposure_s"].is_auto else float(chosen.params["exposure_s"].value)
     gains = graph.nodes_with("sensor.gain")
     fixed_iso = float(gains[0].params["iso"].value) if gains and not gains[0].params["iso"].is_auto else None

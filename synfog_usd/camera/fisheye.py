@@ -35,8 +35,8 @@ def fisheye(
 
     Args:
         image: radiance of a fisheye.
-        coefficients: c1, c2 ... to any common scale, as calibrated in pixels, in millimetres or in focal lengths;
-            OpenCV's k1 to k4 are 1, 0, k1, 0, k2, 0, k3, 0, k4.
+        coefficients: c1, c2 ... to any common scale, as calibrated in pixels, in millimetres or in focal lengths.
+            OpenCV's k1 to k4 are c3, c5, c7 and c9, with c1 = 1 and the rest 0.
         fov_x_deg: horizontal angle of view through the axis [degrees]; it sets the scale.
 
     Raises:

@@ -43,8 +43,8 @@ def glare(
 ) -> Image:
     """Veiling glare: a part of the light is scattered over the picture.
 
-    E' = (1 - f) E + f (E * h), h(r) ~ 1 / (r^2 + r0^2): the slope of scatter by
-    small roughness.  Computed on blocks of 1/480 of the width; r0 is one block.
+    E' = (1 - f) E + f (E * h).  h(r) falls as 1 / (r^2 + r0^2): the slope of scatter
+    by small roughness.  Computed on blocks of 1/480 of the width; r0 is one block.
     Light from outside the picture is taken as its mirror image, so that an even
     picture stays even.
 
@@ -99,11 +99,10 @@ def flare(
 ) -> Image:
     """Stars around lamps.
 
-    An aperture of n straight blades diffracts light into n spikes (2 n where n is
-    odd) that fall as 1 / r^2, while that of a round one falls as 1 / r^3.  The star is
-    what |FFT(polygon)|^2, over five wavelengths of the channel and integrated over
-    pixels, has more than the disc of a round aperture; `optics.diffraction`, before
-    this node, makes that disc.  Only what exceeds the threshold is spread.
+    An aperture of n straight blades diffracts light into n spikes, 2 n where n is odd, that fall as 1 / r^2.  That of a
+    round one falls as 1 / r^3: the disc of `optics.diffraction`, which stands before this node.  The star is what
+    |FFT(polygon)|^2 has more than the disc, over five wavelengths of the channel and integrated over pixels.  Only what
+    exceeds the threshold is spread.
 
     Args:
         image: irradiance (H, W, C).
@@ -155,8 +154,9 @@ def _wavelengths_nm(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
 
 @functools.lru_cache(maxsize=32)
 def _star(blades: int, rotation_deg: float, qs: tuple[float, ...]) -> FloatArray:
-    """(2 R + 1, 2 R + 1) what a polygon's pattern has more than a circle's, as parts of a point's light; mean of
-    several lambda N / pitch.
+    """What a polygon's pattern has more than a circle's, as parts of a point's light, in a square around its pixel.
+
+    The mean over several lambda N / pitch.
     """
     samples = min(PUPIL, 2 * math.ceil(STAR_PX / min(qs)))
     reach = max(2, min(STAR_PX, int(samples * min(qs) / 2)))
@@ -184,8 +184,9 @@ def _between(table: npt.NDArray[np.float64], place: npt.NDArray[np.float64]) -> 
 
 @functools.lru_cache(maxsize=2)
 def _summed_pattern(blades: int, rotation_deg: float, samples: int) -> npt.NDArray[np.float64]:
-    """(2 S + 1, 2 S + 1) sums of a polygon's far field up to each edge between its samples, which are lambda N / 2
-    wide; 1 in all.
+    """Sums of a polygon's far field up to each edge between its samples, by rows and columns; 1 in all.
+
+    There are twice as many samples each way as across the aperture, each lambda N / 2 wide.
     """
     from scipy import fft
 

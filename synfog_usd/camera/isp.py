@@ -327,7 +327,7 @@ def tone(
     brighten_ev: Annotated[float, Range(0.0, 4.0)] = 1.0,
     shoulder: Annotated[float, Range(0.0, 0.95)] = 0.4,
 ) -> Image:
-    """Brighter middle, highlights rolled off: f(0) = 0, f(1) = 1, straight below the shoulder.
+    """Brighter middle, highlights rolled off; black, white and the slope below the shoulder stay.
 
     y = 2^ev x up to y = shoulder; above it y = s + (1 - s)(1 - (1 - u)^p), which
     meets the straight part with the same slope and reaches 1 flat.

@@ -75,7 +75,10 @@ def _normal(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def _by_series(w: FloatArray, mean: FloatArray, out: FloatArray) -> None:
-    """floor(m + s w + (2 + w^2) / 6 - (2 w + w^3) / (72 s) + (9 w^4 + 21 w^2 - 48) / (2430 m)), s = sqrt(m)."""
+    """Giles's series for the inverse of the distribution with a mean m, at a normal number w, rounded down.
+
+    m + s w + (2+w^2)/6 - (2w+w^3)/(72s) + (9w^4+21w^2-48)/(2430m),    s = sqrt(m)
+    """
     s = np.sqrt(mean)
     w2 = w * w
     term = w2 * np.float32(9.0 / 2430.0)

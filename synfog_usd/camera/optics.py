@@ -1,8 +1,7 @@
 """Ops between the scene and the lens: from radiance to irradiance on the sensor.
 
-Radiance is R, G, B in cd m-2, or bands in W m-2 sr-1 nm-1.  Irradiance keeps the
-channels, in lux or W m-2 nm-1.  What the lens does to the picture after that stands
-in `distortion`, `blur` and `flare`.
+Units of radiance are those of `Quantity`.  Irradiance keeps the channels, in lux or W m-2 nm-1.  What the lens does
+to the picture after that stands in `distortion`, `blur` and `flare`.
 """
 
 from __future__ import annotations

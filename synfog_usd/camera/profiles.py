@@ -12,10 +12,11 @@ import functools
 import hashlib
 import json
 import math
+import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from synfog_usd.base import resources, tables
 from synfog_usd.base.errors import ParameterError, did_you_mean
@@ -55,10 +56,6 @@ class Limits:
     high: float
     whole: bool = False
     default: float | None = None
-
-
-def _value(low: float, high: float, *, whole: bool = False, default: float | None = None) -> Any:
-    return dataclasses.field(metadata={"limits": Limits(low, high, whole, default)})
 
 
 SHAPES = {
@@ -162,29 +159,29 @@ class SensorProfile:
     title: str
     serial: str
     cfa: str
-    pixel_pitch_um: float = _value(0.3, 50.0)
-    fill_factor: float = _value(0.01, 1.0)
-    full_well_e: float = _value(100.0, 1e7)
-    gain_dn_e: float = _value(1e-4, 1e3)
-    read_noise_e: float = _value(0.0, 1e3)
-    adc_noise_dn: float = _value(0.0, 1e3)
-    dark_current_e_s: float = _value(0.0, 1e5)
-    prnu_percent: float = _value(0.0, 20.0)
-    dsnu_e: float = _value(0.0, 1e3)
-    row_noise_dn: float = _value(0.0, 1e3, default=0.0)
-    column_noise_dn: float = _value(0.0, 1e3, default=0.0)
-    bits: int = _value(8, 16, whole=True)
-    black_level_dn: int = _value(0, 65535, whole=True)
-    white_level_dn: int = _value(1, 65535, whole=True)
-    iso_base: float = _value(1.0, 1e5)
-    iso_max: float = _value(1.0, 1e7)
-    analog_gain_max: float = _value(1.0, 1e4, default=16.0)
-    optical_black_rows: int = _value(1, 1024, whole=True, default=16.0)
-    shortest_exposure_s: float = _value(1e-7, 1.0)
-    longest_exposure_s: float = _value(1e-6, 60.0)
-    readout_s: float = _value(0.0, 10.0, default=0.0)
-    width_px: int = _value(1, 65535, whole=True, default=0)
-    height_px: int = _value(1, 65535, whole=True, default=0)
+    pixel_pitch_um: Annotated[float, Limits(0.3, 50.0)]
+    fill_factor: Annotated[float, Limits(0.01, 1.0)]
+    full_well_e: Annotated[float, Limits(100.0, 1e7)]
+    gain_dn_e: Annotated[float, Limits(1e-4, 1e3)]
+    read_noise_e: Annotated[float, Limits(0.0, 1e3)]
+    adc_noise_dn: Annotated[float, Limits(0.0, 1e3)]
+    dark_current_e_s: Annotated[float, Limits(0.0, 1e5)]
+    prnu_percent: Annotated[float, Limits(0.0, 20.0)]
+    dsnu_e: Annotated[float, Limits(0.0, 1e3)]
+    row_noise_dn: Annotated[float, Limits(0.0, 1e3, default=0.0)]
+    column_noise_dn: Annotated[float, Limits(0.0, 1e3, default=0.0)]
+    bits: Annotated[int, Limits(8, 16, whole=True)]
+    black_level_dn: Annotated[int, Limits(0, 65535, whole=True)]
+    white_level_dn: Annotated[int, Limits(1, 65535, whole=True)]
+    iso_base: Annotated[float, Limits(1.0, 1e5)]
+    iso_max: Annotated[float, Limits(1.0, 1e7)]
+    analog_gain_max: Annotated[float, Limits(1.0, 1e4, default=16.0)]
+    optical_black_rows: Annotated[int, Limits(1, 1024, whole=True, default=16.0)]
+    shortest_exposure_s: Annotated[float, Limits(1e-7, 1.0)]
+    longest_exposure_s: Annotated[float, Limits(1e-6, 60.0)]
+    readout_s: Annotated[float, Limits(0.0, 10.0, default=0.0)]
+    width_px: Annotated[int, Limits(1, 65535, whole=True, default=0)]
+    height_px: Annotated[int, Limits(1, 65535, whole=True, default=0)]
     qe: QuantumEfficiency = dataclasses.field(default_factory=QuantumEfficiency)
     sources: tuple[tuple[str, str], ...] = ()
     content_hash: str = ""
@@ -222,13 +219,13 @@ class LensProfile:
 
     name: str
     title: str
-    f_number: float = _value(0.5, 64.0)
-    focal_length_mm: float = _value(0.1, 2000.0)
-    transmission: float = _value(0.01, 1.0)
-    glare_fraction: float = _value(0.0, 0.5)
-    blades: int = _value(0, 32, whole=True, default=0)
-    spot_um: float = _value(0.0, 50.0, default=0.0)
-    fisheye_fov_x_deg: float = _value(0.0, 360.0, default=0.0)
+    f_number: Annotated[float, Limits(0.5, 64.0)]
+    focal_length_mm: Annotated[float, Limits(0.1, 2000.0)]
+    transmission: Annotated[float, Limits(0.01, 1.0)]
+    glare_fraction: Annotated[float, Limits(0.0, 0.5)]
+    blades: Annotated[int, Limits(0, 32, whole=True, default=0)]
+    spot_um: Annotated[float, Limits(0.0, 50.0, default=0.0)]
+    fisheye_fov_x_deg: Annotated[float, Limits(0.0, 360.0, default=0.0)]
     distortion: tuple[float, ...] = ()
     fisheye: tuple[float, ...] = ()
     aberration_field_deg: tuple[float, ...] = ()
@@ -250,7 +247,8 @@ class LensProfile:
 
 def limits_of(record: type) -> dict[str, Limits]:
     """What the numbers of a profile may be, by key, in the order of the record."""
-    return {item.name: item.metadata["limits"] for item in dataclasses.fields(record) if "limits" in item.metadata}
+    hints = typing.get_type_hints(record, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if typing.get_origin(hint) is Annotated}
 
 
 def guessed(profile: SensorProfile | LensProfile) -> str:

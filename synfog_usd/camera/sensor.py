@@ -71,9 +71,7 @@ def expose(
     is one pixel of the sensor: a smaller picture is a crop, not a binned frame.
 
     Under global reset all rows begin together and end as they are read: a row at the height v of the picture, 0 to 1
-    from the top, lasts r t + v * readout_s.  Lower rows are brighter, but where a flash in the time of the top row is
-    all the light.  What moves is blurred so by a stage whose camera has `synfog:shutter:mode = "global_reset"`, and
-    lamps flicker so by `light.flicker`.  Automatic exposure meters the top row's time.
+    from the top, lasts r t + v * readout_s.  Automatic exposure meters the top row's time.
 
     Args:
         image: irradiance (H, W, C), R, G, B [lux] or bands [W m-2 nm-1].
@@ -502,7 +500,7 @@ def _focal_length(image: Image, pixel_pitch_um: float) -> dict[str, float | None
 
 
 def row_times(provenance: Mapping[str, Any], height_px: int) -> FloatArray:
-    """(H, 1, 1), or (1, 1, 1) where rows last alike: how long a row is exposed over `exposure_s`."""
+    """How long each row is exposed over `exposure_s`, for (H, W, C) pixels; one number where rows last alike."""
     if not (readout_s := provenance.get("global_reset_s", 0.0)):
         return np.ones((1, 1, 1), dtype=np.float32)
     down = (np.arange(height_px) + 0.5) / height_px

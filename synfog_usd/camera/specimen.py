@@ -79,8 +79,9 @@ def dark_nonuniformity(
     Raises:
         ImageError: no dark current was added before.
 
-    Source: EMVA 1288 release 4.0, sections 7 and 9 (dark current and its nonuniformity).  The numbers are `e`,
-    estimates: give those of your data sheet.
+    The numbers are estimates: give those of your data sheet.
+
+    Source: EMVA 1288 release 4.0, sections on dark current and its nonuniformity.
     """
     if "dark_e" not in image.provenance:
         raise ImageError("the image says of no dark current; put sensor.dark_current before this node")
@@ -127,9 +128,9 @@ def telegraph_noise(
 ) -> Image:
     """Pixels whose amplifier has a trap that catches and frees one electron: their value blinks.
 
-    A pixel is read twice and the difference counts (correlated double sampling).  With a trap that is full half of
-    the time, a frame shows the step A, -A or nothing with the chances 1/4, 1/4 and 1/2, so that the pixel's variance
-    is A^2 / 2.  A is a pixel's own, exponential over the pixels.
+    A pixel is read twice and the difference counts (correlated double sampling).  The trap is full half of the time.
+    So a quarter of the frames shows the step A, a quarter -A, and half of them nothing.  The pixel's variance is
+    A^2 / 2.  A is a pixel's own, exponential over the pixels.
 
     Args:
         image: electrons.

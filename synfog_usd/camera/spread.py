@@ -40,8 +40,8 @@ FINE = 1 << 16
 of an aperture by less than 7e-6 lambda N / pitch.
 """
 
-KEPT = 1 << 23
-"""Numbers of the transfers that are kept from one picture to the next: enough for R, G and B of 1920 x 1080."""
+REMEMBERED = 1 << 23
+"""Numbers of transfers that stay from one picture to the next: enough for R, G and B of a full HD picture."""
 
 COPIES = 1 << 27
 """Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
@@ -59,7 +59,7 @@ class Blur:
     Attributes:
         transfer: radial frequency [cycles/pixel], any shape, to the part of the
             contrast that is left.
-        spot: (2 R + 1, 2 R + 1) weights of a point's light around its pixel.
+        spot: weights of a point's light in the square around its pixel, of an odd side.
         tail: weight of the mean tail 1 / (pi^3 r^3) outside the spot; 0 for none, in all channels of a picture.
         tail_scale: times `SOFT_PX` and `SPOT_PX`; one for all channels of a picture.
     """
@@ -86,7 +86,7 @@ def highlight_limits(pixels: FloatArray) -> list[np.float32]:
 
 
 def aperture_transfer(v: npt.NDArray[np.floating]) -> Array:
-    """2/pi (acos v - v sqrt(1 - v^2)), 0 from v = 1 on; of the type of `v`."""
+    """Contrast that a round aperture leaves at v, the frequency over that of its limit; of the type of `v`."""
     v = np.minimum(v, 1.0)
     return np.asarray((2.0 / math.pi) * (np.arccos(v) - v * np.sqrt(1.0 - v * v)))
 
@@ -155,20 +155,20 @@ def _transfers(blurs: tuple[Blur, ...], height: int, width: int) -> Callable[[sl
     scale = blurs[0].tail_scale
     high, wide = _tail_size((height, width), scale) if blurs[0].tail > 0.0 else (0, 0)
 
-    def made(rows: slice) -> tuple[Sequence[Array], Array]:
+    def computed(rows: slice) -> tuple[Sequence[Array], Array]:
         frequency = np.sqrt(down_2[rows, None] + across_2)
         return tuple(factors(frequency)), tail_transfer(frequency[: max(0, high - rows.start), :wide], scale)
 
-    if len(set(blurs)) * height * width > KEPT:
-        return made
+    if len(set(blurs)) * height * width > REMEMBERED:
+        return computed
     ready: dict[int, tuple[Sequence[Array], Array]] = {}
 
-    def kept(rows: slice) -> tuple[Sequence[Array], Array]:
+    def remembered(rows: slice) -> tuple[Sequence[Array], Array]:
         if rows.start not in ready:
-            ready[rows.start] = made(rows)
+            ready[rows.start] = computed(rows)
         return ready[rows.start]
 
-    return kept
+    return remembered
 
 
 def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:
@@ -305,7 +305,7 @@ def disc_weights(q: float, radius: Array) -> Array:
 
     Args:
         q: lambda N / pitch.
-        radius: (2 R + 1, 2 R + 1) distances from the middle pixel.
+        radius: distances from the middle pixel of a square of an odd side [px].
     """
     measured = aperture(q, max(1, math.ceil(q)))
     weights = measured.tail * tail_weights(radius, measured.tail_scale)
@@ -318,8 +318,9 @@ def disc_weights(q: float, radius: Array) -> Array:
 
 
 def tail_weights(radius: Array, scale: int) -> Array:
-    """1 / (pi^3 r^3), rounded off towards the middle: 2 s(b) - s(2 b) with s(b) = (r^2 + b)^-1.5 / pi^3, which is
-    1 - 3.75 (b / r^2)^2 of it: 1.5 % less at `SPOT_PX`.
+    """1 / (pi^3 r^3), rounded off towards the middle; 1.5 % less at `SPOT_PX`.
+
+    Two softened tails (r^2 + b)^-1.5 / pi^3 are summed so that the first order in b cancels.
     """
     soft, r2 = (SOFT_PX * scale) ** 2, np.square(radius)
     return np.asarray((2.0 * (r2 + soft) ** -1.5 - (r2 + 2.0 * soft) ** -1.5) / math.pi**3)

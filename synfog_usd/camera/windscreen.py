@@ -114,7 +114,7 @@ def _shares(
             f"{clear:.4g} pass"
         )
     pane = np.interp(photometry.WAVELENGTHS_NM, wavelength_nm, transmittance)
-    # All reflections summed, T = (1 - R)^2 t / (1 - R^2 t^2), solved for t
+    # The pane's T sums all reflections, a geometric series of (R t)^2; here solved for t
     once = 2.0 * pane / ((1.0 - faces) ** 2 + np.sqrt((1.0 - faces) ** 4 + 4.0 * (faces * pane) ** 2))
     slant = 1.0 / math.sqrt(1.0 - (math.sin(math.radians(rake_deg)) / index) ** 2)
     inside, reflected = once**slant, fresnel(rake_deg, index)

@@ -25,9 +25,9 @@ def estimated_airlight(clear: npt.ArrayLike, transmittance: npt.ArrayLike) -> Ar
         transmittance: (H, W, 1) t.
 
     Returns:
-        (C,): the mean of I = J t + A0 (1 - t) over the 0.1 % of its pixels (one at least) whose
-        dark channel, the least of all channels in a square of 15 pixels, is brightest.  A0 is
-        the same mean of J itself, as of a clear photograph (Sakaridis, Dai and Van Gool 2018, section 3.1).
+        (C,): the mean of I = J t + A0 (1 - t) over the 0.1 % of its pixels, one at least, whose dark channel is
+        brightest.  The dark channel is the least of all channels in a square of 15 pixels.  A0 is the same mean of J
+        itself, as of a clear photograph (Sakaridis, Dai and Van Gool 2018).
     """
     J, t = np.asarray(clear, dtype=np.float64), np.asarray(transmittance, dtype=np.float64)
     first = _brightest(J)

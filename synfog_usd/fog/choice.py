@@ -34,7 +34,7 @@ class Fog:
         albedo: single-scattering albedo [1], 0 to 1.
         g: mean cosine of the phase function `hg` [1], -1 to 1, forward positive.
         phase: 'hg' (Henyey-Greenstein), 'droplets' (Jendersie and d'Eon 2023) or 'mie' (needs miepython).
-        droplet_diameter_um: diameter of the droplets [um]; 5 to 50 for 'droplets', 0.1 to 100 for 'mie'.
+        droplet_diameter_um: diameter of the droplets [um], within `DROPLETS_UM` or `MIE_UM` of `fog.phase`.
         angstrom: exponent [1] by which fog is thinner for longer wavelengths, -1 to 5.
         profile: 'uniform', or 'exponential' in height; exponential where a scale height is given.
         scale_height_m: height [m] over which the fog thins by e.
@@ -59,9 +59,9 @@ class Fog:
         for word, name in {"mor": "mor_m", **WORDS}.items():
             if name not in ("phase", "profile") and getattr(self, name) is not None:
                 object.__setattr__(self, name, _number(f"fog: {name}", getattr(self, name), inf=word == "mor"))
-        for name, known in (("phase", PHASES), ("profile", PROFILES)):
-            if getattr(self, name) not in (None, *known):
-                raise ParameterError(f"fog: {name} {getattr(self, name)!r}: it takes {', '.join(known)}")
+        for name, allowed in (("phase", PHASES), ("profile", PROFILES)):
+            if getattr(self, name) not in (None, *allowed):
+                raise ParameterError(f"fog: {name} {getattr(self, name)!r}: it takes {', '.join(allowed)}")
         numbers.check_visibility(f"mor{self.mor_m:g}", self.mor_m)
         if (self.phase in ("droplets", "mie")) != (self.droplet_diameter_um is not None):
             raise ParameterError("fog: phase 'droplets' and 'mie' need droplet_diameter_um [um], and no other takes it")
@@ -77,9 +77,9 @@ class Fog:
 
     @property
     def name(self) -> str:
-        """What it is called: 'clear', 'mor150', 'mor150_g0.8'."""
-        said = {word: getattr(self, name) for word, name in WORDS.items()}
-        more = (f"_{word}{_plain(value)}" for word, value in said.items() if value is not None)
+        """Its name: 'clear', 'mor150', 'mor150_g0.8'."""
+        values = {word: getattr(self, name) for word, name in WORDS.items()}
+        more = (f"_{word}{_plain(value)}" for word, value in values.items() if value is not None)
         return CLEAR if self.clear else f"mor{_plain(self.mor_m)}{''.join(more)}"
 
     @classmethod
@@ -91,18 +91,18 @@ class Fog:
         """
         if name == CLEAR:
             return cls(math.inf)
-        found = numbers.fog_words(name)
-        if found is None:
+        if (parts := numbers.fog_words(name)) is None:
             return None
-        said: dict[str, Any] = {WORDS[word]: value for word, value in found[1].items()}
-        for key, value in said.items():
-            said[key] = value if key in ("phase", "profile") else _number(f"--fog {name}:", value)
-        return cls(found[0], **said)
+        mor_m, words = parts
+        values: dict[str, Any] = {WORDS[word]: value for word, value in words.items()}
+        for key, value in values.items():
+            values[key] = value if key in ("phase", "profile") else _number(f"--fog {name}:", value)
+        return cls(mor_m, **values)
 
     def over(self, medium: FogMedium) -> FogMedium:
         """The fog in a boundary whose own is `medium`; it is not clear air."""
-        said = {name: getattr(self, name) for name in ("albedo", "g", "angstrom", "profile", "scale_height_m")}
-        changes: dict[str, Any] = {name: value for name, value in said.items() if value is not None}
+        values = {name: getattr(self, name) for name in ("albedo", "g", "angstrom", "profile", "scale_height_m")}
+        changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
         if self.scale_height_m is not None:
             changes["profile"] = self.profile or "exponential"
         if self.phase is not None or self.g is not None:
@@ -116,18 +116,19 @@ class Fog:
     def _phase(self) -> Phase | None:
         if self.droplet_diameter_um is None:
             return None
-        made = Droplets if self.phase == "droplets" else Tabulated.mie
-        return made(self.droplet_diameter_um)
+        if self.phase == "droplets":
+            return Droplets(self.droplet_diameter_um)
+        return Tabulated.mie(self.droplet_diameter_um)
 
 
-def _number(what: str, value: Any, *, inf: bool = False) -> float:
+def _number(what: str, value: float | str, *, inf: bool = False) -> float:
     try:
-        found = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
-        found = math.nan
-    if math.isnan(found) or (math.isinf(found) and not inf):
+        number = math.nan
+    if math.isnan(number) or (math.isinf(number) and not inf):
         raise ParameterError(f"{what} {value!r}: not a number")
-    return found
+    return number
 
 
 def _plain(value: float | str) -> str:

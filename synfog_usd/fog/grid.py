@@ -36,21 +36,21 @@ class DensityGrid:
     values: npt.NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        found = np.asarray(self.values)
-        if found.ndim != 3 or found.dtype.kind not in "fiu" or not 0 < found.size <= MAX_VOXELS:
+        densities = np.asarray(self.values)
+        if densities.ndim != 3 or densities.dtype.kind not in "fiu" or not 0 < densities.size <= MAX_VOXELS:
             raise ParameterError(
-                f"a density grid of shape {found.shape} and type {found.dtype}; it has three axes (Z, Y, X), real "
-                f"numbers, 1 to {MAX_VOXELS} voxels"
+                f"a density grid of shape {densities.shape} and type {densities.dtype}; it has three axes (Z, Y, X), "
+                f"real numbers, 1 to {MAX_VOXELS} voxels"
             )
-        wrong = ~((found >= 0.0) & (found <= 1.0))
+        wrong = ~((densities >= 0.0) & (densities <= 1.0))
         if wrong.any():
             place = tuple(int(index) for index in np.argwhere(wrong)[0])
             raise ParameterError(
-                f"a density grid with {found[place]!s} at {place}, the first of {np.count_nonzero(wrong)} values "
+                f"a density grid with {densities[place]!s} at {place}, the first of {np.count_nonzero(wrong)} values "
                 f"outside 0 to 1; "
                 f"divide by the largest and multiply the extinction by it"
             )
-        values = found.astype(np.float32)
+        values = densities.astype(np.float32)
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
 
@@ -59,7 +59,7 @@ class DensityGrid:
 
         A segment is cut wherever it crosses a plane of voxel centres.  Each piece is
         a cubic, whose integral two Gauss points give exactly: rounding is all that
-        is lost.  100 000 segments through 64^3 voxels take 2 s.
+        is lost.
         """
         counts = np.array(self.values.shape[::-1], dtype=np.float64)
         begin, end = ((points + 1.0) / 2.0 * counts - 0.5 for points in (begin, end))  # centres are whole numbers

@@ -31,7 +31,7 @@ REFERENCE_NM = 550.0
 """Wavelength [nm] at which extinctions and visibilities are stated."""
 
 ANGSTROM = (-1.0, 5.0)
-"""Range of Angstrom exponents [1]: fog is 0 (-0.3 to 0.3), haze 1 to 2, air itself 4.1."""
+"""Range of Angstrom exponents [1]: about 0 for fog, 4.1 for air itself."""
 
 
 def extinction_from_visibility(visibility_m: npt.ArrayLike, *, contrast: float = WMO_CONTRAST) -> Array:

@@ -24,7 +24,7 @@ DROPLETS_UM = (5.0, 50.0)
 """Open range of diameters [um] that the fit of Jendersie and d'Eon is for."""
 
 MIE_UM = (0.1, 100.0)
-"""Range of diameters [um] whose Lorenz-Mie series is summed; 50 um take 1 s, 100 um 4 s."""
+"""Range of diameters [um] whose Lorenz-Mie series is summed; it takes seconds at the upper end."""
 
 MIE_NM = (400.0, 700.0)
 """Range of wavelengths [nm] of the refractive index below."""
@@ -46,17 +46,15 @@ _WATER = (
     (700, 1.331),
 )
 """(wavelength [nm], refractive index [1]) of water: Hale and Querry (1973), Applied Optics 12, 555, table I.
-Its absorption, 2e-9 to 3e-8, takes less than 1e-5 of the light in a droplet of 100 um, and is left out."""
+Its absorption takes less than 1e-5 of the light in a droplet of 100 um, and is left out."""
 
 
 @dataclass(frozen=True)
 class HenyeyGreenstein:
-    """p = (1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5).
+    """The phase function of Henyey and Greenstein (1941).
 
     Attributes:
         g: mean cosine [1], -1 < g < 1.
-
-    Source: Henyey and Greenstein (1941).
 
     >>> HenyeyGreenstein(0.5).moments(3).tolist()
     [1.0, 0.5, 0.25]
@@ -199,11 +197,11 @@ class Tabulated:
         object.__setattr__(self, "cosines", cosines)
         object.__setattr__(self, "values", values)
 
-    def __eq__(self, other: object) -> bool:
+    def __eq__(self, table: object) -> bool:
         return (
-            isinstance(other, Tabulated)
-            and np.array_equal(self.cosines, other.cosines)
-            and np.array_equal(self.values, other.values)
+            isinstance(table, Tabulated)
+            and np.array_equal(self.cosines, table.cosines)
+            and np.array_equal(self.values, table.values)
         )
 
     def __hash__(self) -> int:
@@ -286,7 +284,7 @@ Phase = HenyeyGreenstein | Droplets | Tabulated
 
 
 def _toward_peak(g: float) -> Array:
-    """Cosines from -1 to 1 whose 1 + g^2 - 2 g cos is a geometric row; even for g = 0."""
+    """Cosines, ascending, whose denominators in Henyey-Greenstein's function are a geometric row; even for g = 0."""
     g = max(g, 1e-3)
     row = np.linspace(2.0 * math.log((1.0 + g) / (1.0 - g)), 0.0, PEAK_NODES)
     cosines = 1.0 - (1.0 - g) ** 2 / (2.0 * g) * np.expm1(row)
@@ -325,7 +323,7 @@ def _intensity(index: float, sizes: Array, numbers: Array, cosines: Array) -> Ar
         pi[n - 1], tau[n - 1] = now, n * cosines * now - (n + 1) * before
         before, now = now, ((2 * n + 1) * cosines * now - (n + 1) * before) / n
     total = np.zeros_like(cosines)
-    for one, other in ((pi, tau), (tau, pi)):
+    for of_a, of_b in ((pi, tau), (tau, pi)):
         for a_part, b_part in ((a.real, b.real), (a.imag, b.imag)):  # real matrices: half the work
-            total += numbers @ (a_part @ one + b_part @ other) ** 2
+            total += numbers @ (a_part @ of_a + b_part @ of_b) ** 2
     return total

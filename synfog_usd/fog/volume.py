@@ -1,8 +1,7 @@
 """Where fog is: closed boundaries, what they contain, and which lies in which.
 
-Takes meshes, boxes and spheres in metres; gives containment and optical depth.  A
-denser bank may lie wholly inside another fog; boundaries that cross have no clear
-meaning and are told apart by `crosses`.  Knows nothing of USD or Mitsuba.
+Takes meshes, boxes and spheres in metres; gives containment and optical depth.  A denser bank may lie wholly inside
+another fog; `Boundary.meets` finds boundaries that cross, whose meaning is not clear.  Knows nothing of USD or Mitsuba.
 """
 
 from __future__ import annotations
@@ -77,9 +76,9 @@ class Boundary:
         o, d = origin_m @ inverse[:3, :3].T + inverse[:3, 3], direction @ inverse[:3, :3].T
         if self.kind == "box":
             d = np.where(np.abs(d) < 1e-15, 1e-15, d)
-            one, other = (-1.0 - o) / d, (1.0 - o) / d
-            near = functools.reduce(np.maximum, np.minimum(one, other).T)
-            far = functools.reduce(np.minimum, np.maximum(one, other).T)
+            low, high = (-1.0 - o) / d, (1.0 - o) / d
+            near = functools.reduce(np.maximum, np.minimum(low, high).T)
+            far = functools.reduce(np.minimum, np.maximum(low, high).T)
         else:
             a, b, c = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1) - 1.0
             root = np.sqrt(np.maximum(b * b - a * c, 0.0))
@@ -99,7 +98,7 @@ class Boundary:
         return (self.to_world @ np.c_[grid, np.ones(len(grid))].T).T[:, :3]
 
     def frame(self) -> Array:
-        """(4, 4) matrix from [-1, 1]^3 to the box in which a density grid lies; a mesh's is along the world's axes."""
+        """Matrix (4, 4) from the unit box to the box of a density grid; a mesh's is along the world's axes."""
         if self.vertices is None:
             return self.to_world
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
@@ -152,7 +151,7 @@ class FogVolume:
     Attributes:
         path: prim path of its source, for messages.
         boundary: where it is.
-        medium: what it is.
+        medium: its extinction, profile and phase function.
         priority: where two overlap, the higher one fills the place.
         parent: index of the volume that surrounds it in `SceneDict.fog`, or None for clear air.
     """
@@ -200,14 +199,14 @@ def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, l
     return total
 
 
-def _hulls_meet(one: Array, other: Array) -> bool:
+def _hulls_meet(first: Array, second: Array) -> bool:
     """Whether the convex hulls of (N, 3) and (M, 3) points have a point in common, to 1e-6 of the first one's size.
 
-    They have where the least-squares problem `one' u = other' v`, sum u = sum v = 1,
+    They have where the least-squares problem `first' u = second' v`, sum u = sum v = 1,
     with u, v >= 0 leaves nothing.
     """
-    size = np.maximum(np.ptp(one, axis=0), 1e-9 * np.ptp(one))
-    a, b = (one - one[0]) / size, (other - one[0]) / size
+    size = np.maximum(np.ptp(first, axis=0), 1e-9 * np.ptp(first))
+    a, b = (first - first[0]) / size, (second - first[0]) / size
     shares = np.zeros((2, len(a) + len(b)))
     shares[0, : len(a)] = shares[1, len(a) :] = 1.0
     return bool(nnls(np.vstack([np.hstack([a.T, -b.T]), shares]), np.array([0.0, 0.0, 0.0, 1.0, 1.0]))[1] < 1e-6)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ from synfog_usd.base.fisheye import Fisheye
 from synfog_usd.base.image import PARALLEL_DEG as PARALLEL_DEG
 from synfog_usd.base.notes import Note
 from synfog_usd.fog.volume import FogVolume
+
+Down = TypeVar("Down", float, Array)
 
 
 @dataclass(frozen=True)
@@ -73,11 +75,16 @@ class Camera:
     exposes: tuple[float, float] = (0.0, 1.0)
     fisheye: Fisheye | None = None
 
-    def exposed(self, down: Any) -> tuple[Any, Any]:
-        """Begin and end of what counts of the exposure of a row at `down`, 0 at the top of the picture to 1 at its
-        bottom, as parts of the time from the first row's beginning to the last one's end.
+    def exposed(self, down: Down) -> tuple[float | Down, float | Down]:
+        """Begin and end of what counts of the exposure of a row.
+
+        Args:
+            down: where the row is, 0 at the top of the picture to 1 at its bottom.
+
+        Returns:
+            Parts of the time from the first row's beginning to the last one's end.
         """
-        lasts = max(1.0 - self.rolling, 1e-9)
+        lasts: float | Down = max(1.0 - self.rolling, 1e-9)
         if self.global_reset:
             lasts = lasts + down * self.rolling
         begins = 0.0 if self.global_reset else down * self.rolling
@@ -96,8 +103,8 @@ class Camera:
         return 2.0 * math.tan(math.radians(self.fov_x_deg) / 2.0) / self.width_px
 
     def directions(self, places: Array) -> Array:
-        """(..., 3) unit directions in the scene of places (..., 2) in a pinhole's or fisheye's picture, 0 to 1 from its
-        upper left corner.
+        """Unit directions (..., 3) in the scene of places (..., 2) in a pinhole's or fisheye's picture, in widths and
+        heights from its upper left corner.
         """
         tall = self.height_px / self.width_px
         across = (places - 0.5 + np.array(self.shift) * (1.0, -1.0)) * (1.0, tall)
@@ -183,10 +190,9 @@ class SceneDict:
             luminance stays.
         group_of: key of a lamp in `world` -> its light group: 'sky', 'headlights' (all lamps of vehicles),
             'street_lamps', 'other', or an author's own.
-        motion_of: key in `world` of what moves while the camera exposes -> (M, K, 4, 4): M ways to move, each as K
-            matrices at even steps from the moment at which the first row begins to that at which the last one ends,
-            from the place in `world` to the place then.  Which way a vertex of a mesh goes stands in its 'motion' (N,);
-            without it M is 1.
+        motion_of: key in `world` of what moves while the camera exposes -> matrices (M, K, 4, 4) from the place in
+            `world` to the place then.  There are M ways to move, at K even steps from the beginning of the first row to
+            the end of the last one.  Which way a vertex of a mesh goes stands in its 'motion' (N,); without it M is 1.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
         lanes: of the roads, where the stage tells of them.
@@ -239,19 +245,24 @@ def placements(world: Mapping[str, Any]) -> Placements:
             rows.setdefault(prototype_of(part), []).append(len(keys))
             keys.append(key)
             matrices.append(part["to_world"])
-    found = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4)
-    return Placements(keys, {group: np.array(some, dtype=np.int64) for group, some in rows.items()}, found)
+    to_world = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4)
+    return Placements(keys, {group: np.array(some, dtype=np.int64) for group, some in rows.items()}, to_world)
 
 
 def boxes(low: Array, high: Array, to_world: Array) -> tuple[Array, Array]:
-    """(N, 3) lower and upper corners of the boxes around a box, given by its corners (3,), at (N, 4, 4) places."""
+    """Lower and upper corners (N, 3) of the boxes around one box wherever it stands.
+
+    Args:
+        low, high: corners of the box.
+        to_world: (N, 4, 4) where it stands.
+    """
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3).astype(np.float64)
-    found = np.empty((2, len(to_world), 3))
+    result = np.empty((2, len(to_world), 3))
     for first in range(0, len(to_world), _BOXES_AT_ONCE):
         some = slice(first, first + _BOXES_AT_ONCE)
         turned = corners @ to_world[some, :3, :3].transpose(0, 2, 1) + to_world[some, None, :3, 3]
-        found[0, some], found[1, some] = turned.min(axis=1), turned.max(axis=1)
-    return found[0], found[1]
+        result[0, some], result[1, some] = turned.min(axis=1), turned.max(axis=1)
+    return result[0], result[1]
 
 
 _BOXES_AT_ONCE = 10_000
@@ -310,10 +321,10 @@ def base_colour(bsdf: Mapping[str, Any]) -> Mapping[str, Any] | None:
 def recoloured(bsdf: Mapping[str, Any], colour: Mapping[str, Any]) -> dict[str, Any]:
     """The same surface with another colour of its matte part, and a reflection that is grey."""
     if any(name in bsdf for name in _COLOURS):
-        made = {name: colour if name in _COLOURS else part for name, part in bsdf.items()}
-        if "specular" in made:
-            made["specular"] = {"type": "rgb", "value": [float(LUMINANCE @ mean_colour(made["specular"]))] * 3}
-        return made
+        surface = {name: colour if name in _COLOURS else part for name, part in bsdf.items()}
+        if "specular" in surface:
+            surface["specular"] = {"type": "rgb", "value": [float(LUMINANCE @ mean_colour(surface["specular"]))] * 3}
+        return surface
     return {**bsdf, "bsdf": recoloured(bsdf["bsdf"], colour)}
 
 

@@ -48,10 +48,10 @@ def of_instances(scene: SceneDict, parts: PartBoxes | None = None) -> dict[int, 
     if scene.fog and parts.keys:
         through = _to_boxes(scene.fog, scene.camera.to_world[:3, 3], parts.low, parts.high)
         clear = dict(zip(parts.keys, through.tolist(), strict=True))
-    found: dict[int, float] = {}
+    result: dict[int, float] = {}
     for names, instance in scene.instance_of.items():
-        found[instance] = max(found.get(instance, 0.0), clear.get(names[0], 1.0))
-    return found
+        result[instance] = max(result.get(instance, 0.0), clear.get(names[0], 1.0))
+    return result
 
 
 def boxes_of(world: Mapping[str, Any]) -> PartBoxes:
@@ -68,8 +68,8 @@ def boxes_of(world: Mapping[str, Any]) -> PartBoxes:
         low[row], high[row] = _box([world[keys[row]]])
     of_instances = np.flatnonzero(placed)
     for group, rows in standing.rows.items():
-        own = of_instances[rows]
-        low[own], high[own] = boxes(*_box(list(shapes_of(world, group).values())), standing.to_world[rows])
+        places = of_instances[rows]
+        low[places], high[places] = boxes(*_box(list(shapes_of(world, group).values())), standing.to_world[rows])
     return PartBoxes(keys, low, high)
 
 

@@ -24,7 +24,7 @@ from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.yamlio import Place
 from synfog_usd.camera.graph.compose import SCHEMA
-from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile
+from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile, Setting
 
 AUTO = "auto"
 
@@ -372,7 +372,7 @@ class NodeGraph:
             raise AssertionError(f"op {node.op.name} gave {result.quantity.value}, but is declared to give {expected}")
         return result
 
-    def _looked_up(self, node: Node, name: str, bound: Bound, image: Image, settings: Mapping[str, Any]) -> Any:
+    def _looked_up(self, node: Node, name: str, bound: Bound, image: Image, settings: Mapping[str, Any]) -> Setting:
         parameter = node.op.parameters[name]
         key = parameter.auto_key
         for where, values in (("settings", settings), ("provenance", image.provenance)):
@@ -427,7 +427,8 @@ def bind(where: str, parameter: Parameter, value: object, source: str) -> Bound:
         raise GraphError(f"{where}: {parameter.name} {problem}; it takes {parameter}.{hint}") from problem
 
 
-def _plain(bound: Bound) -> Any:
+def _plain(bound: Bound) -> Setting | list[Setting]:
+    """A parameter's value as JSON holds it."""
     if bound.is_auto:
         return [AUTO, None if bound.value is MISSING else bound.value]
     return bound.value.content_hash if hasattr(bound.value, "content_hash") else bound.value

@@ -27,6 +27,9 @@ from synfog_usd.base.yamlio import switch
 
 F = TypeVar("F", bound=Callable[..., Image])
 
+Setting = float | int | bool | str | tuple[float, ...] | None
+"""Value of a parameter that a file can give."""
+
 RESERVED = frozenset({"name", "op", "in", "rng", "include", "before", "after", "remove"})
 """Words of the YAML node itself; no parameter can be called so."""
 
@@ -202,7 +205,7 @@ class Parameter:
         words += (f" {limits}" if limits else "") + (f" [{self.unit}]" if self.unit else "")
         return words + (" or auto" if self.auto else "")
 
-    def read(self, value: object) -> Any:
+    def read(self, value: object) -> Setting:
         """The value as the function wants it.
 
         Numbers may be written as text that Python or a photographer would read as
@@ -456,7 +459,7 @@ def _unit_of_text(text: str) -> str:
     return match[1] if match and not match[1].isdigit() else ""
 
 
-def _parameter(op: str, item: inspect.Parameter, hint: Any, text: str) -> Parameter:
+def _parameter(op: str, item: inspect.Parameter, hint: type | None, text: str) -> Parameter:
     if (named := _unit_of_name(item.name)) and (unit_in_text := _unit_of_text(text)) and named != unit_in_text:
         raise TypeError(
             f"op {op!r}: parameter {item.name!r} is in {named} by its name, but in {unit_in_text} by the docstring"
@@ -493,7 +496,7 @@ def _parameter(op: str, item: inspect.Parameter, hint: Any, text: str) -> Parame
     return Parameter(item.name, kind, choices, length, optional, limits, default, profile, auto, text)
 
 
-def _without_none(hint: Any) -> tuple[Any, bool]:
+def _without_none(hint: type | None) -> tuple[type | None, bool]:
     """`X` and True for `X | None`; any other hint as it is."""
     if typing.get_origin(hint) not in (typing.Union, types.UnionType):
         return hint, False

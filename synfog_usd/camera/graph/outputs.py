@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 from synfog_usd.base.errors import did_you_mean
 from synfog_usd.base.image import Quantity
@@ -17,6 +17,8 @@ from synfog_usd.base.yamlio import switch
 from synfog_usd.camera.graph.op import Port
 
 Value = bool | int | str
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Option:
         """Whether it is true or false."""
         return isinstance(self.choices[0], bool)
 
-    def read(self, value: object) -> Any:
+    def read(self, value: T) -> T | bool:
         """The value as the writer wants it; what it may not be stays as it is."""
         return switch(value) if self.switches else value
 

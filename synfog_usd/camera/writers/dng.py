@@ -160,7 +160,7 @@ def _check_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
         raise ImageError(f"{path}: colour filter pattern {pattern!r} cannot be written; it takes {', '.join(PATTERNS)}")
 
 
-def _planes(pattern: Any) -> str:
+def _planes(pattern: str | None) -> str:
     """The different filters of a pattern, in the order of the file's colour planes.
 
     >>> _planes("GRBG"), _planes("RCCB"), _planes("RGIB"), _planes("RCCC")
@@ -386,10 +386,10 @@ def _finish(path: Path, exif: Sequence[tuple[int, int, int, bytes]], *, photomet
         assert not changes, "a tag that is to be changed is not in the file"
 
 
-def _number(value: Any) -> float:
+def _number(value: float | str | None) -> float:
     """A number as float; NaN where it is none."""
     try:
-        return float(value)
+        return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return math.nan
 

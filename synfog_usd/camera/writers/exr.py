@@ -11,7 +11,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from synfog_usd.base.files import write_whole
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.photometry import band_centre_nm
 
+if TYPE_CHECKING:
+    import OpenImageIO
+
 MAX_VALUES = 1 << 29
 """Pixels x channels that are read: 2 GiB of float32, a 16k x 8k picture with four channels."""
 
@@ -29,6 +32,9 @@ FIXED_DATE = "2000:01:01 00:00:00"
 """OpenImageIO writes the clock's time unless a date is given; a picture of a simulation has none."""
 
 HALF_MAX = 65504.0
+
+Attribute = str | int | float | tuple[float, ...]
+"""Value of an attribute of an EXR file."""
 
 Compression = Literal["zip", "zips", "piz", "rle", "none"]
 
@@ -124,7 +130,7 @@ def _write(
     save(temporary, path, spec, pixels)
 
 
-def save(temporary: Path, path: Path, spec: Any, pixels: np.ndarray) -> None:
+def save(temporary: Path, path: Path, spec: OpenImageIO.ImageSpec, pixels: np.ndarray) -> None:
     """Write with OpenImageIO, which reports by return values."""
     import OpenImageIO
 
@@ -248,7 +254,7 @@ def check_finite(image: Image, where: str) -> None:
         )
 
 
-def _fov_x_deg(metadata: Mapping[str, Any]) -> float | None:
+def _fov_x_deg(metadata: Mapping[str, Attribute]) -> float | None:
     """Horizontal field of view [degrees] by the camera's attributes [mm], or None."""
     focal_mm = next(
         (
@@ -265,7 +271,7 @@ def _fov_x_deg(metadata: Mapping[str, Any]) -> float | None:
     return math.degrees(2.0 * math.atan(width_mm / 2.0 / focal_mm))
 
 
-def _rec709(image: Image, chromaticities: Any) -> Image:
+def _rec709(image: Image, chromaticities: Attribute | None) -> Image:
     """R, G, B of other primaries as linear Rec.709, luminance and white kept."""
     if (
         not isinstance(chromaticities, tuple)
@@ -286,7 +292,7 @@ def _rec709(image: Image, chromaticities: Any) -> Image:
 
 
 def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
-    """(3, 3) R, G, B to XYZ, white having Y = 1 (SMPTE RP 177)."""
+    """Matrix from R, G, B to XYZ, white having Y = 1 (SMPTE RP 177)."""
     x, y = np.array(chromaticities, dtype=np.float64).reshape(4, 2).T
     columns = np.array([x / y, np.ones(4), (1.0 - x - y) / y])
     return np.asarray(columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3]))
@@ -306,7 +312,7 @@ def channels_of(path: Path) -> list[str]:
         source.close()
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path) -> OpenImageIO.ImageInput:
     """An EXR file, to be closed."""
     import OpenImageIO
 
@@ -321,7 +327,7 @@ def _opened(path: Path) -> Any:
     return source
 
 
-def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
+def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Attribute]]:
     import OpenImageIO
 
     source = _opened(path)
@@ -337,14 +343,14 @@ def _read(path: Path) -> tuple[FloatArray, list[str], dict[str, Any]]:
         pixels = source.read_image(part, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
         if pixels is None:
             raise ImageError(f"{path}: cannot be read whole ({source.geterror()})")
-        metadata = {item.name: item.value for item in spec.extra_attribs}
+        metadata = {item.name: cast("Attribute", item.value) for item in spec.extra_attribs}
         whole = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, spec.nchannels)
         return _displayed(path, whole, spec), list(spec.channelnames), metadata
     finally:
         source.close()
 
 
-def _part(path: Path, source: Any) -> int:
+def _part(path: Path, source: OpenImageIO.ImageInput) -> int:
     """Number of the part that is the picture; the source stands on it."""
     by_part: dict[int, str] = {}
     count = 0
@@ -367,7 +373,7 @@ def _part(path: Path, source: Any) -> int:
     return part
 
 
-def _displayed(path: Path, pixels: FloatArray, spec: Any) -> FloatArray:
+def _displayed(path: Path, pixels: FloatArray, spec: OpenImageIO.ImageSpec) -> FloatArray:
     """The display window of a picture whose data window may be another; 0 where there are no data."""
     if (spec.x, spec.y, spec.width, spec.height) == (spec.full_x, spec.full_y, spec.full_width, spec.full_height):
         return pixels
@@ -386,7 +392,7 @@ def _displayed(path: Path, pixels: FloatArray, spec: Any) -> FloatArray:
     return whole
 
 
-def _default_channels(path: Path, names: list[str], metadata: Mapping[str, Any], quantity: Quantity) -> list[str]:
+def _default_channels(path: Path, names: list[str], metadata: Mapping[str, Attribute], quantity: Quantity) -> list[str]:
     ours = _json(metadata.get("synfog:channels"))
     if isinstance(ours, list) and sorted(map(str, ours)) == sorted(names):
         return ours
@@ -400,13 +406,15 @@ def _default_channels(path: Path, names: list[str], metadata: Mapping[str, Any],
     raise ImageError(f"{path}: neither R, G, B nor bands such as S0.550,000000nm; it has {', '.join(names)}")
 
 
-def _provenance(metadata: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(metadata: Mapping[str, Attribute]) -> dict[str, Any]:
     content = _json(metadata.get("synfog:provenance"))
     return content if isinstance(content, dict) else {}
 
 
-def _json(text: object) -> Any:
+def _json(text: Attribute | None) -> dict[str, Any] | list[Any] | None:
+    """An object or list that an attribute holds as JSON; None where it holds none."""
     try:
-        return json.loads(text) if isinstance(text, str) else None
+        content = json.loads(text) if isinstance(text, str) else None
     except ValueError:
         return None
+    return content if isinstance(content, dict | list) else None

@@ -73,8 +73,8 @@ def _warp(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:
 def _unfold(height_px: int, width_px: int, metadata: Mapping[str, Any]) -> bytes:
     """WarpFisheye of one set of coefficients: where each straight place lies in the fisheye's picture.
 
-    By the specification the straight picture has its farthest corner at 45 degrees, and the radius in the fisheye's,
-    in parts of that corner's distance, is kr0 t + kr1 t^3 + kr2 t^5 + kr3 t^7 of the angle t; these are fitted.
+    By the specification the straight picture has its farthest corner at 45 degrees.  Radii in the fisheye's picture are
+    parts of that corner's distance, kr0 t + kr1 t^3 + kr2 t^5 + kr3 t^7 of the angle t.  The coefficients are fitted.
     """
     lens, centre = _fisheye(metadata), _axis(height_px, width_px, metadata)
     corner_px = _corner(height_px, width_px, centre)
@@ -134,7 +134,7 @@ def _opcode(number: int, head: bytes, numbers: Sequence[float]) -> bytes:
     return struct.pack(">IIII", number, SINCE, OPTIONAL, len(parameters)) + parameters
 
 
-def _centre(matrix: Any) -> tuple[float, float]:
+def _centre(matrix: Sequence[Sequence[float]]) -> tuple[float, float]:
     return float(matrix[0][2]), float(matrix[1][2])
 
 

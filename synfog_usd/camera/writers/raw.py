@@ -13,7 +13,7 @@ import io
 import logging
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,10 @@ from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.writers import dng_levels
 from synfog_usd.camera.writers.tiff_tags import Directory
+
+if TYPE_CHECKING:
+    import rawpy
+    import tifffile
 
 BAYER = ("RGGB", "GRBG", "GBRG", "BGGR")
 
@@ -83,7 +87,7 @@ def read_raw(path: Path) -> Image:
     return Image(pixels[..., None], ("CFA",), Quantity.DN, provenance=metadata)
 
 
-def _mosaic(path: Path, raw: Any, directories: list[Directory]) -> tuple[FloatArray, dict[str, Any]]:
+def _mosaic(path: Path, raw: rawpy.RawPy, directories: list[Directory]) -> tuple[FloatArray, dict[str, Any]]:
     """(H, W) numbers above one black, and the provenance."""
     import rawpy
 
@@ -163,7 +167,7 @@ def _bare(path: Path, directories: list[Directory]) -> tuple[io.BytesIO, dict[st
         raise ImageError(f"{path}: its JPEG XL cannot be decoded ({error or type(error).__name__})") from error
 
 
-def _decoded(page: Any) -> np.ndarray:
+def _decoded(page: tifffile.TiffPage) -> np.ndarray:
     """(H, W) numbers of a page of JPEG XL.
 
     A tile of another size than the page says is refused before it is decoded: a few bytes may declare any.
@@ -183,7 +187,7 @@ def _decoded(page: Any) -> np.ndarray:
     return decoded
 
 
-def _metadata(path: Path, raw: Any, filters: np.ndarray) -> dict[str, Any]:
+def _metadata(path: Path, raw: rawpy.RawPy, filters: np.ndarray) -> dict[str, Any]:
     """Provenance of a mosaic with these filters, (H, W) in LibRaw's numbers, but for its levels."""
     letters = raw.color_desc.decode()
     corner = filters[:2, :2]
