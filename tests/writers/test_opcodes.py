@@ -10,7 +10,8 @@ import pytest
 import tifffile
 
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.optics import falloff_map
+from synfog_usd.camera.distortion import Pinhole
+from synfog_usd.camera.optics import FalloffShape, cone_of, falloff_map
 from synfog_usd.camera.writers import write_output
 from synfog_usd.camera.writers.opcodes import opcode_list
 
@@ -79,15 +80,8 @@ def test_the_vignette_opcode_undoes_the_lens(falloff, within):
     if falloff == "table":
         metadata["relative_illumination"] = [list(column) for column in table]
     *gains, cx, cy = read(opcode_list(HEIGHT, WIDTH, metadata))[3]
-    shade = falloff_map(
-        HEIGHT,
-        WIDTH,
-        kind=falloff,
-        f_number=2.8,
-        fov_x_deg=60.0,
-        shift=(0.05, -0.02),
-        table=table if falloff == "table" else ((), ()),
-    )
+    shape = FalloffShape(falloff, cone_of(2.8), table if falloff == "table" else ((), ()))
+    shade = falloff_map(Pinhole(HEIGHT, WIDTH, 60.0, (0.05, -0.02)), None, shape)
     axis = np.array([cx * (WIDTH - 1), cy * (HEIGHT - 1)])
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
     away = np.hypot(columns - axis[0], rows - axis[1])
