@@ -111,7 +111,8 @@ def test_a_shipped_camera_is_as_sharp_as_its_lens(name):
     for cycles in CYCLES:
         v = WAVE_UM * lens.f_number / chip.pixel_pitch_um * cycles
         sharp = np.sinc(cycles) * 2 / math.pi * (math.acos(v) - v * math.sqrt(1 - v * v))
-        sharp *= math.exp(-2 * (math.pi * (lens.spot_um or 0.0) / chip.pixel_pitch_um * cycles) ** 2)
+        spot_um = graph.nodes_with("optics.diffraction")[0].params["spot_um"].value
+        sharp *= math.exp(-2 * (math.pi * spot_um / chip.pixel_pitch_um * cycles) ** 2)
         sharp *= 1.0 - (lens.glare_fraction if graph.nodes_with("optics.glare") else 0.0)
         for down in (False, True):
             image = radiance(graph, cycles, down)
