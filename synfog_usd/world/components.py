@@ -16,7 +16,7 @@ metres, Z up.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -191,7 +191,7 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
     return result
 
 
-def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
+def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part, *, double_sided: bool = True) -> UsdGeom.Mesh:
     """The part as a polygon mesh with extent, and normals and st where it has them; points of no face are left out."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     faces = part.faces[
@@ -204,7 +204,7 @@ def author_mesh(stage: Usd.Stage, path: Sdf.Path, part: Part) -> UsdGeom.Mesh:
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateDoubleSidedAttr(double_sided)
     if len(points):
         mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
     if part.normals is not None:
@@ -258,9 +258,22 @@ def _write_geometry(component: Component, meshes: Mapping[str, Part], path: Path
     stage = new_stage(f"Meshes of {component.name}.", path, component.origin)
     root = UsdGeom.Scope.Define(stage, "/Geometry")
     stage.SetDefaultPrim(root.GetPrim())
+    lit = _lit_meshes(component, meshes)
     for name, part in meshes.items():
-        author_mesh(stage, Sdf.Path(f"/Geometry/{name}"), part)
+        author_mesh(stage, Sdf.Path(f"/Geometry/{name}"), part, double_sided=name not in lit)
     stage.GetRootLayer().Save()
+
+
+def _lit_meshes(component: Component, meshes: Iterable[str]) -> set[str]:
+    """Meshes that shine in some look.  Such a sheet has one side: its back would light the housing behind it, which
+    few paths meet and which is as bright as the lamp.
+    """
+    looks = [look for choices in component.variants.values() for look in choices.values()]
+    worn = [*((name, name) for name in meshes), *(pair for look in looks for pair in look.bindings.items())]
+    lit = {name for look in looks for name, inputs in look.materials.items() if "emissiveColor" in inputs}
+    materials = {**PALETTE, **component.materials}
+    lit |= {name for _, name in worn if name in materials and any(materials[name].emission)}
+    return {mesh for mesh, material in worn if material in lit}
 
 
 def _write_materials(component: Component, meshes: Mapping[str, Part], path: Path) -> None:
