@@ -294,6 +294,10 @@ class Shapes:
         if "doubleSided" not in leaf.authored and leaf.kind != "Plane":  # of which alone it is the default
             return None
         back = geometry.backs(triangles) if leaf.prim.GetAttribute("doubleSided").Get(self.time) else None
+        if back is not None and "MeshLightAPI" not in leaf.schemas:
+            self.notes.info(
+                leaf.path, "it is doubleSided and shines to both sides; a lamp that shows its front alone is less noisy"
+            )
         if back is not None and "MeshLightAPI" in leaf.schemas:
             self.notes.info(
                 leaf.path, "it is doubleSided and a light by MeshLightAPI, which shines from its front alone"
