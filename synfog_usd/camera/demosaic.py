@@ -1,14 +1,12 @@
 """Demosaicing: from one number per pixel to a plane for every colour filter.
 
 Takes a white-balanced mosaic of any pattern; gives planes in the order of
-`cfa.filters`, or the one plane Y of a sensor that sees no colour.  OpenImageIO and
-colour-demosaicing are imported on first use.
+`cfa.filters`, or the one plane Y of a sensor that sees no colour.  OpenImageIO is
+imported on first use.
 """
 
 from __future__ import annotations
 
-import warnings
-from types import ModuleType
 from typing import Annotated, Literal
 
 import numpy as np
@@ -16,7 +14,6 @@ import numpy as np
 from synfog_usd.base.arrays import FloatArray, planar, strips
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image
-from synfog_usd.base.science import colour_science
 from synfog_usd.camera import cfa
 from synfog_usd.camera.graph import FromProfile
 from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
@@ -36,7 +33,7 @@ HALO_PX = 6
 def demosaic(
     image: Image,
     *,
-    algorithm: Literal["directional", "linear", "mhc", "menon"] = "directional",
+    algorithm: Literal["directional", "linear", "mhc"] = "directional",
     sensor: Annotated[SensorProfile | None, FromProfile("sensor")] = None,
 ) -> Image:
     """The missing colours of each pixel from its neighbours.
@@ -48,11 +45,9 @@ def demosaic(
 
     Args:
         image: white-balanced mosaic, at least 2 x 2.
-        algorithm: of Bayer patterns.  directional follows edges, so that they get no
-            colours that are not there, and averages where there are none; linear is a linear
-            filter, for measurements; mhc (Malvar, He and Cutler 2004) is one too, and sharper;
-            menon (Menon, Andriani and Calvagno 2007) follows edges, is a little sharper than
-            directional, noisier, and over ten times slower.
+        algorithm: of Bayer patterns.  directional follows edges, so that they get no colours that are not there, and
+            averages where there are none.  linear is a linear filter, for measurements; mhc (Malvar, He and Cutler
+            2004) is one too, and sharper.
         sensor: names the pattern where the image does not.
 
     Raises:
@@ -72,9 +67,7 @@ def demosaic(
         return image.with_pixels(
             np.stack([_plane(image.pixels[..., 0], pattern, letter) for letter in letters], axis=-1), channels=letters
         )
-    if algorithm == "menon":
-        pixels = _colour_demosaicing().demosaicing_CFA_Bayer_Menon2007(image.pixels[..., 0], pattern)
-    elif algorithm == "directional":
+    if algorithm == "directional":
         pixels = _directional(image.pixels[..., 0], pattern)
     else:
         pixels = _linear(image.pixels, pattern, {"linear": "linear", "mhc": "MHC"}[algorithm])
@@ -219,14 +212,3 @@ def _plane(mosaic: FloatArray, pattern: str, letter: str) -> FloatArray:
     for where in sites:
         plane[where] = mosaic[where]
     return plane
-
-
-def _colour_demosaicing() -> ModuleType:
-    """The module `colour_demosaicing`; imported on the first call, without SciPy's remark on how it imports."""
-    colour_science()
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message=".*`scipy.ndimage.filters` namespace is deprecated", category=DeprecationWarning
-        )
-        import colour_demosaicing
-    return colour_demosaicing

@@ -38,7 +38,6 @@ def library_versions(*, denoise: bool) -> dict[str, str]:
         "numpy",
         "scipy",
         "colour-science",
-        "colour-demosaicing",
         "tifffile",
         "imagecodecs",
     )

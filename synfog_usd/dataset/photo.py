@@ -78,7 +78,7 @@ class Photo:
         return np.rint(np.clip(self._of(Quantity.DISPLAY_RGB).pixels, 0.0, 1.0) * np.float32(255)).astype(np.uint8)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write what a file's name asks for: .dng the RAW, .png, .jpg, .jxl or .tif the picture, .exr linear light.
+        """Write what a file's name asks for: .dng the RAW, .png or .jpg the picture, .exr linear light.
 
         A name of `outputs` is that output; another is the first output of its suffix, where the graph has one.
 

@@ -59,7 +59,7 @@ def picture(pixels) -> Image:
     return Image(np.asarray(pixels, np.float32), ("R", "G", "B"), Quantity.LINEAR_RGB)
 
 
-@pytest.mark.parametrize("algorithm", ["directional", "menon"])
+@pytest.mark.parametrize("algorithm", ["directional", "mhc"])
 def test_a_colorchecker_under_d65_comes_out_right(tmp_path, algorithm):
     """24 measured spectra go in as 80 bands of radiance; CIEDE2000 against colour-science's own XYZ of them.
 

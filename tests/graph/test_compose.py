@@ -78,18 +78,18 @@ def test_outputs_of_both_are_written_and_how_they_are_can_be_changed(tmp_path, r
     base = BASE.replace(
         "{raw.dng: adc, srgb.png: show}",
         "{raw.dng: adc, all.exr: {node: noise, half: true, compression: piz}, srgb.png: {node: show, bits: 16}, "
-        "a.tif: show}",
+        "a.exr: {node: show, half: true}}",
     )
     outputs = (
-        "outputs: {raw.dng: {compression: lossless}, all.exr: {compression: rle}, srgb.png: show, a.tif: {node: adc}, "
-        "b.tif: {node: show, bits: 8}}\n"
+        "outputs: {raw.dng: {compression: lossless}, all.exr: {compression: rle}, srgb.png: show, a.exr: {node: adc}, "
+        "b.png: {node: show, bits: 8}}\n"
     )
     graph = load(tmp_path, registry, g=own(rest=outputs), base=base)
-    assert graph.outputs == {"raw.dng": "adc", "all.exr": "noise", "srgb.png": "show", "a.tif": "adc", "b.tif": "show"}
+    assert graph.outputs == {"raw.dng": "adc", "all.exr": "noise", "srgb.png": "show", "a.exr": "adc", "b.png": "show"}
     assert graph.output_options == {
         "raw.dng": {"compression": "lossless"},
         "all.exr": {"half": True, "compression": "rle"},
-        "b.tif": {"bits": 8},
+        "b.png": {"bits": 8},
     }
     fault = refusal(
         tmp_path, registry, g=own(rest="outputs: {raw.dng: {compression: lossles}, new.exr: {half: true}}\n"), base=BASE

@@ -61,8 +61,8 @@ OUTPUTS = (
     "raw.dng: {node: adc, compression: lossless}",
     "raw.dng: {node: adc, compresion: none}",
     "raw.exr: {node: adc, half: true, compression: none}",
-    "raw.tif: {node: adc, bits: 32}",
-    "raw.tiff: {node: adc, bits: '32'}",
+    "raw.raw10: {node: adc, embedded_lines: 2}",
+    "raw.raw10: {node: adc, embedded_lines: '2'}",
     "raw.bmp: adc",
 )
 

@@ -429,18 +429,12 @@ class _Loader:
                     there = f"there are {', '.join(gives)}.{did_you_mean(str(node.value), gives)}"
                     self.faults.add(node.place, f"output {file_name!r} is {node.plain()!r}, which is no node; {there}")
                 continue
-            needed, gives_port = output_files.port(file_name, settings), gives[node.value]
-            if not needed.accepts(gives_port):
-                fitting = [name for name, port in gives.items() if port.quantity and needed.accepts(port)]
+            needed, port = output_files.FORMATS[output_files.suffix_of(file_name)], gives[node.value]
+            if not needed.accepts(port):
+                fitting = [name for name, flow in gives.items() if flow.quantity and needed.accepts(flow)]
                 hint = f"; what fits: {', '.join(fitting)}" if fitting else ""
-                words = (
-                    "".join(f" with {word}: {value}" for word, value in settings.items())
-                    if needed != output_files.port(file_name, {})
-                    else ""
-                )
                 self.faults.add(
-                    node.place,
-                    f"output {file_name!r}{words} takes {needed}; node {node.value!r} gives {gives_port}{hint}",
+                    node.place, f"output {file_name!r} takes {needed}; node {node.value!r} gives {port}{hint}"
                 )
             outputs[file_name] = node.value
             if settings:

@@ -1,13 +1,12 @@
 """Which picture fits into which file: checked when a graph is loaded.
 
-The writers check their options again; this table is what a graph can know
-before it runs.
+The writers trust this table: what is wrong with an option is found before a graph runs.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -63,23 +62,12 @@ FORMATS = {
     ".dng": _MOSAIC,
     ".exr": Port(),
     ".png": SCREEN,
-    ".tif": Port(),
-    ".tiff": Port(),
-    ".jxl": SCREEN,
     ".jpg": SCREEN,
     ".raw10": _MOSAIC,
     ".raw12": _MOSAIC,
     ".raw14": _MOSAIC,
 }
 """File suffix -> what it can hold."""
-
-_TIFF = {
-    "bits": Option(
-        (8, 16, 32),
-        "Whole numbers of 8 or 16 bits for a screen, or 32-bit floats of anything; if left out, 16 for a screen and "
-        "32 otherwise.",
-    )
-}
 
 _MIPI = {"embedded_lines": Option((0, 1, 2), "Lines of MIPI CCS data before the picture.")}
 
@@ -96,12 +84,6 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "half": Option((False, True), "16-bit floats, to 65504, for 32-bit ones."),
     },
     ".png": {"bits": Option((8, 16), "Bits a channel.")},
-    ".tif": _TIFF,
-    ".tiff": _TIFF,
-    ".jxl": {
-        "bits": Option((8, 16), "Bits a channel."),
-        "lossless": Option((True, False), "false: loss that an eye does not see (a butteraugli distance of 1)."),
-    },
     ".jpg": {
         "quality": Option(range(1, 101), "libjpeg's; if left out 95."),
         "subsampling": Option(("4:2:0", "4:2:2", "4:4:4"), "Of colour."),
@@ -126,7 +108,7 @@ def fault(file_name: str) -> str:
     >>> fault("../srgb.png")
     'it is not a plain file name; use letters, digits, . _ - only'
     >>> fault("srgb.gif")
-    "its format '.gif' is not known; it can be .dng, .exr, .png, .tif, .tiff, .jxl, .jpg, .raw10, .raw12, .raw14"
+    "its format '.gif' is not known; it can be .dng, .exr, .png, .jpg, .raw10, .raw12, .raw14"
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", file_name):
         return "it is not a plain file name; use letters, digits, . _ - only"
@@ -159,12 +141,6 @@ def option_fault(file_name: str, word: str, value: object) -> tuple[bool, str]:
         )
         return False, f"{word} is {value!r}; it takes {options[word]}{'.' if hint else ''}{hint}"
     return False, ""
-
-
-def port(file_name: str, options: Mapping[str, Value]) -> Port:
-    """What a file can hold when it is written so: a TIFF of 8 or 16 bits is for a screen."""
-    suffix = suffix_of(file_name)
-    return SCREEN if suffix in (".tif", ".tiff") and options.get("bits") in (8, 16) else FORMATS[suffix]
 
 
 def suffix_of(file_name: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from synfog_usd import __version__
-from synfog_usd.base.errors import ImageError, OutputError
+from synfog_usd.base.errors import ImageError
 from synfog_usd.base.files import write_whole
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.writers.opcodes import opcode_list
@@ -104,10 +104,6 @@ def write_dng(
     Source: Adobe, Digital Negative Specification 1.7.1; TIFF 6.0; CIPA DC-008 (Exif).
     """
     metadata = image.provenance
-    if compression not in ("none", "lossless"):
-        raise OutputError(f"{path}: compression is {compression!r}; a DNG takes none, lossless")
-    if not isinstance(corrections, bool):
-        raise OutputError(f"{path}: corrections is {corrections!r}; it takes true or false")
     if image.quantity is not Quantity.DN or len(image.channels) != 1:
         raise ImageError(
             f"{path}: a DNG takes a DN mosaic of one channel; this image is {image.quantity.value} with "

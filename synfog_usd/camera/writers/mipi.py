@@ -64,8 +64,6 @@ def write_mipi(path: Path, image: Image, *, embedded_lines: Literal[0, 1, 2] = 0
             f"{path}: a packed RAW takes the DN of a mosaic; this image is {image.quantity.value} with "
             f"{', '.join(image.channels)}. Take the node behind sensor.adc"
         )
-    if type(embedded_lines) is not int or embedded_lines not in (0, 1, 2):
-        raise OutputError(f"{path}: embedded_lines is {embedded_lines!r}; it takes 0, 1 or 2")
     pixels = image.pixels[..., 0]
     if not np.isfinite(pixels).all() or pixels.min() < 0.0 or pixels.max() > 2**bits - 1:
         fits = next((suffix for suffix, wide in BITS.items() if pixels.max() <= 2**wide - 1), "")
