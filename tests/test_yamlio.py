@@ -53,8 +53,7 @@ def test_a_switch_takes_each_word_for_true_and_false(word, tmp_path):
     assert read.same_noise is wanted
     (tmp_path / "a.onnx").touch()
     (tmp_path / "d.yaml").write_text(
-        "synfog: benchmark/1\ndetectors:\n- {name: a, onnx: a.onnx, layout: boxes, classes: [car], "
-        f"letterbox: {word}}}\n"
+        f"synfog: benchmark/1\ndetectors:\n- {{name: a, onnx: a.onnx, classes: [car], letterbox: {word}}}\n"
     )
     (detector,) = detectors.chosen([str(tmp_path / "d.yaml")])
     assert detector.letterbox is wanted

@@ -16,7 +16,7 @@ from typing import Any
 from synfog_usd.base import files
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
-from synfog_usd.lab.study import drawing, page
+from synfog_usd.lab.study import verdicts
 from synfog_usd.lab.study.chart import write_suite
 from synfog_usd.lab.study.points import TARGETS, Point, lines, read, summary
 
@@ -53,7 +53,7 @@ def section(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[
     own = [line[0].reference_rms for line in points.values()]
     parts = [
         f"{len(points)} stages, {first.width} x {first.height}, `{first.variant}` on {first.machine}. References are "
-        f"known to {drawing.percent(min(own))} to {drawing.percent(max(own))}.",
+        f"known to {verdicts.percent(min(own))} to {verdicts.percent(max(own))}.",
         "![Seconds against error on each stage](images/chart_suite.png)",
         "![Seconds against mottle on each stage](images/chart_mottle.png)",
         "### The words of quality\n\nSeconds, paths of a pixel, total error, mottle.\n\n" + _words(points),
@@ -72,8 +72,8 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
         for word in QUALITIES:
             point = by_word.get(word)
             cells.append(
-                f"{drawing.duration(point.seconds)}, {point.samples}, {drawing.percent(point.relative_rms)}, "
-                f"{drawing.percent(point.mottle)}"
+                f"{verdicts.duration(point.seconds)}, {point.samples}, {verdicts.percent(point.relative_rms)}, "
+                f"{verdicts.percent(point.mottle)}"
                 if point
                 else "not run"
             )
@@ -91,7 +91,7 @@ def _failures(
     text = "| model | bias of a pixel that is seen | left out |\n|---|---|---|\n"
     for name in dict.fromkeys(names):
         last = {stage: found[name][-1] for stage, line in points.items() if name in (found := lines(line))}
-        biased = [f"{stage} {drawing.percent(p.bias_rms)}" for stage, p in last.items() if p.bias_is_seen]
+        biased = [f"{stage} {verdicts.percent(p.bias_rms)}" for stage, p in last.items() if p.bias_is_seen]
         out = [
             f"{stage}: {note.partition(': ')[2]}"
             for stage, told in notes.items()
@@ -103,7 +103,7 @@ def _failures(
 
 
 def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    text = f"### Seconds to {page.target_words(measure, target)}\n\n"
+    text = f"### Seconds to {verdicts.target_words(measure, target)}\n\n"
     text += (
         "| stage | fastest | seconds | without bias | seconds | best peer | seconds | peer / fastest | peer / without "
         "bias |\n"
@@ -113,8 +113,8 @@ def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[
         row = all_targets[index]
         cells = [name]
         for who in ("best", "unbiased", "peer"):
-            cells += [str(row[who]) or "none", page.seconds(row, who)]
-        cells += [page.ratio(row), page.ratio(row, "unbiased")]
+            cells += [str(row[who]) or "none", verdicts.seconds(row, who)]
+        cells += [verdicts.ratio(row), verdicts.ratio(row, "unbiased")]
         text += f"| {' | '.join(cells)} |\n"
     return text.rstrip()
 
@@ -130,10 +130,10 @@ def _errors(points: Mapping[str, Sequence[Point]]) -> str:
             if point is None:
                 cells.append("")
                 continue
-            bias = drawing.percent(point.bias_rms if point.bias_is_seen else point.bias_limit)
+            bias = verdicts.percent(point.bias_rms if point.bias_is_seen else point.bias_limit)
             cells.append(
-                f"{point.samples}; {drawing.percent(point.noise_rms)}, {'' if point.bias_is_seen else '< '}{bias}, "
-                f"{drawing.percent(point.mottle)}"
+                f"{point.samples}; {verdicts.percent(point.noise_rms)}, {'' if point.bias_is_seen else '< '}{bias}, "
+                f"{verdicts.percent(point.mottle)}"
             )
         text += f"| {name} | {' | '.join(cells)} |\n"
     return text.rstrip()

@@ -74,8 +74,6 @@ def detect(words: DetectWords) -> None:
     scored = {run.name: detection.scores(bench, run, least_px=least_px) for run in runs}
     answered = [run for run in runs if scored[run.name].pictures]
     ranks = detection.ranks(bench, answered, least_px=least_px)
-    for name, rows in detection.gains(bench, answered, least_px=least_px).items():
-        scored[name].rows += rows
     scored = {name: scored[name] for name in ranks}
     detect_page.write(bench, scored, ranks, words.out)
     if words.as_json:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def run(plan: dict[str, Any], *, quiet: bool) -> None:
     """Sweep as the command line asked for, print the table, and say where the drawings are."""
     from synfog_usd.lab.study import chart as study
-    from synfog_usd.lab.study import page
+    from synfog_usd.lab.study import verdicts
 
     sweep = study.ChartPlan(**plan)
     if sweep.stage.is_dir():
@@ -24,9 +24,9 @@ def run(plan: dict[str, Any], *, quiet: bool) -> None:
             for name, chart in charts.items():
                 _note(name, chart)
                 print(name)
-                for line in page.verdicts(name, chart.points):
+                for line in verdicts.verdicts(name, chart.points):
                     print(f"  {line}")
-            print(f"look at {sweep.out / 'index.html'}")
+            print(f"look at {sweep.out / 'suite.png'}")
         return
     with shown(quiet) as (progress, _):
         chart = study.chart(sweep, progress=progress)
@@ -34,9 +34,9 @@ def run(plan: dict[str, Any], *, quiet: bool) -> None:
         return
     _note(sweep.stage.name, chart)
     _table(chart)
-    for line in page.verdicts(sweep.stage.stem, chart.points):
+    for line in verdicts.verdicts(sweep.stage.stem, chart.points):
         print(line)
-    print(f"look at {sweep.out / study.NAMES[-1]}")
+    print(f"look at {sweep.out / 'chart.png'}")
 
 
 def _note(name: str, chart: Chart) -> None:

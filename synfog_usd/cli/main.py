@@ -169,12 +169,12 @@ class ChartWords:
         typer.Option(
             "--out",
             "-o",
-            help="Folder for chart.csv, .svg, .png and .html, and notes.txt.",
+            help="Folder for chart.csv, .svg, .png and notes.txt.",
             show_default=False,
         ),
     ] = None
     suite: Annotated[
-        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with index.html and summary.csv.")
+        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with suite.png and summary.csv.")
     ] = False
     fog: Annotated[
         str | None,

@@ -1,4 +1,4 @@
-"""Training: the same twice, it learns flat fog, its ONNX file is the network; a study keeps scenes apart."""
+"""Training: the same twice, it learns flat fog, and its ONNX file is the network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from PIL import Image as Picture
 from support import cli, raws
 
-from docs.studies import sources, training
+from docs.studies import training
 from synfog_usd.base import seeds
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
@@ -162,35 +162,3 @@ def test_what_is_written_is_a_method_of_the_defogging_bench(whole, tmp_path, sma
     finally:
         worker.close()
     np.testing.assert_allclose(answer, expected, atol=1 / 255)
-
-
-def test_a_study_keeps_scenes_apart_and_goes_on(whole, tmp_path, small, monkeypatch):
-    """Each fold's networks learn from the other folds' scenes; a second run trains nothing and writes the same."""
-    learned, train = [], training.train
-
-    def spy(found, **more):
-        learned.append({pair.scene for pair in found})
-        return train(found, **more)
-
-    monkeypatch.setattr(training, "train", spy)
-    kinds = ("synfog", "noise_free")
-    options = {"kinds": kinds, "seeds_count": 2, "folds": 2, "steps": 2}
-    found = sources.study(whole, tmp_path, **options)
-    odd, even = {"000001", "000003"}, {"000000", "000002"}
-    assert learned == [odd] * 4 + [even] * 4
-    assert found.psnr["synfog", "noise_free"].shape == (2, 4) and np.isfinite(found.psnr["synfog", "synfog"]).all()
-    (effect,) = [row for row in sources.effects(found) if row[1] == "noise_free"]
-    rows = [line.split(",") for line in (tmp_path / "psnr.csv").read_text().splitlines()[1:]]
-    means = {
-        kind: np.mean([float(row[4]) for row in rows if row[:2] == [kind, "noise_free"]])
-        for kind in ("synfog", "noise_free")
-    }
-    assert effect[0] == "the sensor's noise" and effect[2] == pytest.approx(
-        means["synfog"] - means["noise_free"], abs=1e-3
-    )
-    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
-    assert {"findings.md", "psnr.csv", "effects.png", "pictures.png", "results.json"} == set(kept)
-    sources.study(whole, tmp_path, **options)
-    assert len(learned) == 8 and {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == kept
-    with pytest.raises(ParameterError, match="it takes 2 to as many"):
-        sources.study(whole, tmp_path, **{**options, "folds": 5})

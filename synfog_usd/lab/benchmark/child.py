@@ -109,7 +109,7 @@ def _loaded(method: Method) -> Work:
 
         return lambda answer, out, truth: _tell(out, metrics.measure(picture(answer), picture(truth)))
     assert isinstance(method, Defogger)
-    if method.kind in ("onnx", "torch"):
+    if method.kind == "onnx":
         restore = _network(method)
         return lambda taken, out: _write(out, restore(taken))
     classic = CLASSICS[method.target]
@@ -130,7 +130,7 @@ def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
     planes, scale, layout = (
         (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
     )
-    ask, sides = _torch_module(method) if method.kind == "torch" else _onnx_network(method, planes, layout)
+    ask, sides = _onnx_network(method, planes, layout)
     low, high = method.range
 
     def restore(source: Path) -> np.ndarray:
@@ -164,35 +164,6 @@ def _onnx_network(method: Defogger, planes: int, layout: str) -> tuple[Callable[
     if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
         raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {layout}")
     return lambda given: session.run([outputs[0].name], {inputs[0].name: given})[0], (shape[2], shape[3])
-
-
-def _torch_module(method: Defogger) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
-    """What asks a module as torch.export (.pt2) or TorchScript saves it."""
-    try:
-        import torch
-    except ImportError:
-        raise ValueError("a torch module needs PyTorch: pip install torch") from None
-    torch.set_num_threads(threads(method))
-    path = Path(method.target)
-    if path.suffix == ".pt2":
-        module = torch.export.load(path).module()
-    else:
-        try:
-            module = torch.jit.load(path, map_location="cpu").eval()
-        except RuntimeError as error:
-            raise ValueError(
-                f"{path.name} is no module of torch.jit.save, nor one of torch.export.save, whose names end in .pt2; "
-                f"weights alone (state_dict) do not say what the network computes"
-            ) from error
-
-    def ask(batch: np.ndarray) -> Any:
-        with torch.inference_mode():
-            answer = module(torch.from_numpy(np.ascontiguousarray(batch)))
-        if not isinstance(answer, torch.Tensor):
-            raise ValueError(f"the module gave a {type(answer).__name__}, and not a tensor")
-        return answer.numpy()
-
-    return ask, ("H", "W")
 
 
 def _run(method: Method, task: dict[str, str]) -> None:

@@ -85,26 +85,18 @@ class MatchedKind:
     things: npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Matched:
-    """What was matched.
-
-    Attributes:
-        groups: by range, then class.
-        found: (T, N) by overlap, whether each thing was found, where it is not ignored and all count.
-    """
-
-    groups: list[list[MatchedKind]]
-    found: Flags
-
-
-def match(pictures: int, true: Sequence[TrueBox], guesses: Sequence[FoundBox], ranges: Sequence[Range]) -> Matched:
+def match(
+    pictures: int, true: Sequence[TrueBox], guesses: Sequence[FoundBox], ranges: Sequence[Range]
+) -> list[list[MatchedKind]]:
     """Match boxes with things, class by class.
 
     Args:
         pictures: how many there are.
         true, guesses: in any order.
-        ranges: of `number`, ends included; the first should be `EVERYTHING`.
+        ranges: of `number`, ends included.
+
+    Returns:
+        by range, then class.
 
     Raises:
         ParameterError: pycocotools is not installed.
@@ -139,16 +131,11 @@ def match(pictures: int, true: Sequence[TrueBox], guesses: Sequence[FoundBox], r
         evaluation.params.areaRngLbl = [str(n) for n in range(len(ranges))]
         evaluation.evaluate()
     rows = iter(evaluation.evalImgs)
-    used = np.zeros((len(OVERLAPS), len(true)), dtype=bool)
     groups: list[list[MatchedKind]] = [[] for _ in ranges]
     for _ in kinds:
         for place in range(len(ranges)):
-            of_kind = [next(rows) for _ in range(pictures)]
-            groups[place].append(_of_kind(of_kind))
-            for row in of_kind if place == 0 else ():
-                if row is not None:
-                    used[:, np.array(row["gtIds"], dtype=int) - 1] = np.asarray(row["gtMatches"]) > 0
-    return Matched(groups, used)
+            groups[place].append(_of_kind([next(rows) for _ in range(pictures)]))
+    return groups
 
 
 def _annotation(number: int, source: TrueBox | FoundBox) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from synfog_usd.dataset.exports.frames import LabelledPicture
 from synfog_usd.lab.benchmark import bench, coco, statistics
 from synfog_usd.lab.benchmark.bench import Bench, Question, Row
 from synfog_usd.lab.benchmark.child import picture
-from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, Matched, MatchedKind, TrueBox
+from synfog_usd.lab.benchmark.coco import EVERYTHING, FoundBox, MatchedKind, TrueBox
 from synfog_usd.lab.benchmark.detectors import Detector, as_boxes
 from synfog_usd.lab.benchmark.methods import PNG, Defogger
 from synfog_usd.lab.benchmark.statistics import FEWEST_SCENES
@@ -38,9 +37,6 @@ ALL, LEFT = "all things", "what fog leaves"
 STATES = ("visible", "faint", "invisible")
 DISTANCES_M = (0.0, 25.0, 50.0, 100.0, math.inf)
 VISIBILITIES_M = (0.0, 50.0, 100.0, 200.0, 400.0, math.inf)
-SIZES_PX = {"small": (0.0, 32.0**2), "medium": (32.0**2, 96.0**2), "large": (96.0**2, math.inf)}
-"""COCO's, by area."""
-
 DRAWS = 400
 """Of scenes, for intervals of average precision; 400 tell their ends to some 5 % of their width."""
 
@@ -92,12 +88,6 @@ class FoggedView:
     def scene(self) -> str:
         """Intervals are over scenes."""
         return f"{self.source.scene:06d}"
-
-    @property
-    def view(self) -> tuple[Any, ...]:
-        """The same for all fogs of a view."""
-        picture = self.source
-        return picture.scene, picture.lighting, picture.camera, picture.pipeline
 
     @property
     def fog(self) -> str:
@@ -271,7 +261,7 @@ class DetectionScore:
     Attributes:
         counts: `ALL` or `LEFT`.
         by, group: by what pictures or things are grouped, and which group; '' for all.
-        metric: 'AP', 'AP50', 'AP75', 'AR', or 'AR lost', clear minus foggy.
+        metric: 'AP', 'AP50', 'AP75' or 'AR'.
         value: 0 to 1; nan where there is nothing.
         low, high: interval at 95 % over scenes; None where things are in fewer than three.
         things: how many count.
@@ -319,7 +309,8 @@ class _Answers:
         thing: Callable[[LabelledThing], float],
         box: Callable[[list[float]], float],
         ignored: Callable[[LabelledThing], bool],
-    ) -> Matched:
+    ) -> list[list[MatchedKind]]:
+        """By range, then class."""
         true = [TrueBox(n, kind, labelled.box, thing(labelled), ignored(labelled)) for n, kind, labelled in self.true]
         guesses = [FoundBox(n, int(row[5]), row[:4], row[4], box(row)) for n, row in self.found]
         return coco.match(len(self.views), true, guesses, ranges)
@@ -364,27 +355,21 @@ def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) ->
     def hidden(thing: LabelledThing) -> bool:
         return small(thing) or thing.visibility == "invisible"
 
-    sizes = [EVERYTHING, *SIZES_PX.values()]
     steps = list(zip(DISTANCES_M[:-1], (float(np.nextafter(end, 0)) for end in DISTANCES_M[1:]), strict=True))
     for counts, ignored in ((ALL, small), (LEFT, hidden)):
-        by_size = answers.matched(sizes, lambda thing: thing.pixels, lambda row: row[2] * row[3], ignored)
-        whole = by_size.groups[0]
+        whole = answers.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored)[0]
         draws, numbers = coco.precision(whole, weights), _count(whole)
         for metric, part in (("AP", draws.mean(axis=1)), ("AP50", draws[:, 0]), ("AP75", draws[:, 5])):
             add(counts, "", "", metric, part, numbers)
         add(counts, "", "", "AR", coco.recall(whole, weights).mean(axis=1), numbers)
-        for name, group in zip(SIZES_PX, by_size.groups[1:], strict=True):
-            add(counts, "size", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
         for fog in fogs(answers.views):
             inside = np.array([view.fog == fog for view in answers.views])
             in_fog = coco.precision(whole, weights * inside)
             add(counts, "fog", fog, "AP", in_fog.mean(axis=1), _count(whole) * inside)
         by_distance = answers.matched(steps, lambda thing: thing.distance_m, lambda row: row[6], ignored)
-        for low, group in zip(DISTANCES_M, by_distance.groups, strict=False):
+        for low, group in zip(DISTANCES_M, by_distance, strict=False):
             name = _between(DISTANCES_M, low, "")
             add(counts, "distance", name, "AP", coco.precision(group, weights).mean(axis=1), _count(group))
-        if counts == ALL:
-            _lost(answers, by_size.found.mean(axis=0), weights, small, add)
     # what matches nothing belongs to no state: so only recall is given
     states = answers.matched(
         [(float(n), float(n)) for n in range(len(STATES))],
@@ -392,48 +377,9 @@ def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) ->
         lambda row: -1.0,
         small,
     )
-    for name, group in zip(STATES, states.groups, strict=True):
+    for name, group in zip(STATES, states, strict=True):
         add(ALL, "visibility", name, "AR", coco.recall(group, weights).mean(axis=1), _count(group))
     return result
-
-
-def _lost(
-    answers: _Answers,
-    recalls: Array,
-    weights: Array,
-    ignored: Callable[[LabelledThing], bool],
-    add: Callable[[str, str, str, str, Array, Pixels], None],
-) -> None:
-    """Recall that fog costs, thing by thing: found in clear air less found in fog, by what fog leaves of the thing.
-
-    The parts add up to the whole: each is a sum over things of a class, over all its things, then the mean over
-    classes.
-    """
-    clear: dict[tuple[Any, ...], float] = {}
-    for (n, _, item), share in zip(answers.true, recalls, strict=True):
-        if answers.views[n].source.clear:
-            clear[answers.views[n].view, item.id] = float(share)
-    rows = [
-        (n, kind, item.visibility, clear[answers.views[n].view, item.id] - float(share))
-        for (n, kind, item), share in zip(answers.true, recalls, strict=True)
-        if not answers.views[n].source.clear and (answers.views[n].view, item.id) in clear and not ignored(item)
-    ]
-    for fog in ["", *(fog for fog in fogs(answers.views) if fog != "clear")]:
-        in_fog = [row for row in rows if fog in ("", answers.views[row[0]].fog)]
-        if not in_fog:
-            continue
-        kinds = sorted({row[1] for row in in_fog})
-        picture = np.array([row[0] for row in in_fog])
-        kind, lost = np.array([kinds.index(row[1]) for row in in_fog]), np.array([row[3] for row in in_fog])
-        often = weights[:, picture]
-        counts = np.stack([(often * (kind == k)).sum(axis=1) for k in range(len(kinds))])
-        for state in ("", *STATES):
-            chosen = np.array([state in ("", row[2]) for row in in_fog])
-            sums = np.stack([(often * (kind == k) * chosen * lost).sum(axis=1) for k in range(len(kinds))])
-            with np.errstate(invalid="ignore", divide="ignore"):
-                means = coco.mean_over_kinds(np.where(counts > 0, sums / counts, np.nan))
-            count = np.bincount(picture[chosen], minlength=len(answers.views))
-            add(ALL, f"lost in {fog or 'fog'}", state, "AR lost", means, count)
 
 
 def ranks(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, int]:
@@ -454,44 +400,6 @@ def ranks(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -
     return {name: 1 + count for name, count in better.items()}
 
 
-def gains(bench_run: Bench, runs: Sequence[DetectorRun], *, least_px: int = 0) -> dict[str, list[DetectionScore]]:
-    """By how much each detector's average precision is above that of the first, by fog.
-
-    Both are scored on pictures that both answered, and their scenes are drawn together: so a difference can be known
-    better than either number.
-
-    Args:
-        bench_run: from `run`.
-        runs: detectors, the first of which the others are compared with.
-        least_px: things of fewer visible pixels are ignored.
-
-    Returns:
-        name of each but the first -> its rows, by 'over' and the first one's name; the group '' is all fogs.
-    """
-    result: dict[str, list[DetectionScore]] = {}
-    for run in runs[1:]:
-        for counts, hidden in ((ALL, ()), (LEFT, ("invisible",))):
-            views, groups = _both(
-                bench_run,
-                runs[0],
-                run,
-                functools.partial(_ignored, least_px=least_px, hidden=hidden),
-            )
-            for fog in ("", *fogs(views)) if views else ():
-                inside = np.array([fog in ("", view.fog) for view in views])
-                draws = [coco.precision(group, _weights(views) * inside).mean(axis=1) for group in groups]
-                amounts = _count(groups[1]) * inside
-                enough = len({view.scene for view, n in zip(views, amounts, strict=True) if n}) >= FEWEST_SCENES
-                numbers = _told(draws[1] - draws[0], enough)
-                row = DetectionScore(counts, f"over {runs[0].name}", fog, "AP gained", *numbers, int(amounts.sum()))
-                result.setdefault(run.name, []).append(row)
-    return result
-
-
-def _ignored(thing: LabelledThing, *, least_px: int, hidden: Sequence[str]) -> bool:
-    return thing.pixels < least_px or thing.visibility in hidden
-
-
 def _both(
     bench_run: Bench, first_run: DetectorRun, second_run: DetectorRun, ignored: Callable[[LabelledThing], bool]
 ) -> tuple[list[FoggedView], list[list[MatchedKind]]]:
@@ -500,7 +408,7 @@ def _both(
         v.name for v in bench_run.items if all("boxes" in bench_run.row(both, v) for both in (first_run, second_run))
     }
     answers = [_answers(bench_run, both, shared) for both in (first_run, second_run)] if shared else []
-    groups = [each.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored).groups[0] for each in answers]
+    groups = [each.matched([EVERYTHING], lambda thing: 0.0, lambda row: 0.0, ignored)[0] for each in answers]
     return answers[0].views if answers else [], groups
 
 

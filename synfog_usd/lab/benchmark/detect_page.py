@@ -7,7 +7,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from synfog_usd.base import files
 from synfog_usd.lab.benchmark import page
@@ -15,7 +14,6 @@ from synfog_usd.lab.benchmark.bench import Bench
 from synfog_usd.lab.benchmark.detect import (
     ALL,
     LEFT,
-    SIZES_PX,
     STATES,
     DetectionScore,
     DetectionScores,
@@ -37,14 +35,13 @@ Scored = Mapping[str, DetectionScores]
 
 
 def write(bench: Bench, scored: Scored, ranks: Mapping[str, int], out: Path) -> None:
-    """Write table.md, table.csv, table.tex and pictures.png.
+    """Write table.md, table.csv and pictures.png.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     files.write_bytes(out / "table.md", markdown(bench, scored, ranks).encode())
     files.write_bytes(out / "table.csv", _csv(scored, ranks).encode())
-    files.write_bytes(out / "table.tex", _latex(scored, ranks).encode())
     _pictures(bench, out / "pictures.png")
 
 
@@ -75,7 +72,6 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
     for title, by, groups in (
         ("AP by visibility (MOR)", "fog", fogs(views)),
         ("AP by distance", "distance", _groups(scored, "distance")),
-        ("AP by size, as COCO has it", "size", list(SIZES_PX)),
     ):
         rows = [
             [name, counts, *(_cell(scored[name].score(counts, "AP", by, group)) for group in groups)]
@@ -83,52 +79,14 @@ def markdown(bench: Bench, scored: Scored, ranks: Mapping[str, int]) -> str:
             for counts in (ALL, LEFT)
         ]
         lines += ["", f"## {title}", "", *_table(["detector", "counts", *groups], rows)]
-    lines += _gained(scored, names, fogs(views))
     lines += ["", "## AR by what fog leaves of a thing", ""]
     rows = [
         [name, *(_counted(scored[name].score(ALL, "AR", "visibility", visibility)) for visibility in STATES)]
         for name in names
     ]
     lines += _table(["detector", *STATES], rows)
-    lost = [
-        [detector, by.removeprefix("lost in "), *cells]
-        for detector in names
-        for by in dict.fromkeys(row.by for row in scored[detector].rows if row.metric == "AR lost")
-        if (cells := _lost(scored[detector], by))
-    ]
-    if lost:
-        heads = ["detector", "fog", "AR lost", *(f"of {state} things" for state in STATES), "share of invisible ones"]
-        lines += ["", "## What fog costs", ""]
-        lines += ["Found in clear air less found in fog. What is lost of invisible things is no detector's fault.", ""]
-        lines += _table(heads, lost)
     lines += page.unanswered(bench)
     return "\n".join([*lines, ""])
-
-
-def _gained(scored: Scored, names: Sequence[str], states: Sequence[str]) -> list[str]:
-    """A table beside the first detector, where there are two."""
-    by = {name: next((row.by for row in scored[name].rows if row.metric == "AP gained"), "") for name in names}
-    rows = [
-        [name, counts, *(_cell(scored[name].score(counts, "AP gained", by[name], fog), "+") for fog in ("", *states))]
-        for name in names
-        for counts in (ALL, LEFT)
-        if by[name]
-    ]
-    if not rows:
-        return []
-    first = next(filter(None, by.values())).removeprefix("over ")
-    head = ["detector", "counts", "all pictures", *states]
-    return ["", f"## AP above that of {first}", "", "Scenes are drawn for both together.", "", *_table(head, rows)]
-
-
-def _lost(scores: DetectionScores, by: str) -> list[str]:
-    whole = scores.score(ALL, "AR lost", by)
-    parts = [scores.score(ALL, "AR lost", by, state) for state in STATES]
-    if whole is None:
-        return []
-    invisible = _value(parts[-1])
-    share = f"{invisible / whole.value:.0%}" if whole.value > 0.0 and math.isfinite(invisible) else "-"
-    return [_cell(whole), *map(_cell, parts), share]
 
 
 def _groups(scored: Scored, by: str) -> list[str]:
@@ -143,11 +101,11 @@ def _value(score: DetectionScore | None) -> float:
     return math.nan if score is None else score.value
 
 
-def _cell(score: DetectionScore | None, sign: str = "") -> str:
+def _cell(score: DetectionScore | None) -> str:
     if score is None or not math.isfinite(score.value):
         return "-"
-    text = f"{score.value:{sign}.3f}"
-    return text if score.low is None else f"{text} ({score.low:{sign}.3f} to {score.high:{sign}.3f})"
+    text = f"{score.value:.3f}"
+    return text if score.low is None else f"{text} ({score.low:.3f} to {score.high:.3f})"
 
 
 def _counted(score: DetectionScore | None) -> str:
@@ -168,16 +126,6 @@ def _csv(scored: Scored, ranks: Mapping[str, int]) -> str:
     return text.getvalue()
 
 
-def _latex(scored: Scored, ranks: Mapping[str, int]) -> str:
-    chosen = [(counts, metric) for counts in (ALL, LEFT) for metric in ("AP", "AP50", "AR")]
-    lines = []
-    for name in sorted(scored, key=lambda name: ranks[name]):
-        values = [_value(scored[name].score(*key)) for key in chosen]
-        lines.append([page.escaped(name), *("--" if math.isnan(value) else f"{value:.3f}" for value in values)])
-    head = ["Detector", *(metric if counts == ALL else f"{metric} left" for counts, metric in chosen)]
-    return page.latex(head, lines)
-
-
 def _pictures(bench: Bench, path: Path) -> None:
     """A row a picture: what is there, coloured by what fog leaves of it, and what each detector finds."""
     foggy = [view for view in bench.items if not view.source.clear] or list(bench.items)
@@ -195,7 +143,7 @@ def _pictures(bench: Bench, path: Path) -> None:
     page.sheet(strips, path)
 
 
-def _boxed(view: FoggedView, caption: str, boxes: Sequence[tuple[Sequence[float], str]]) -> tuple[Any, str]:
+def _boxed(view: FoggedView, caption: str, boxes: Sequence[tuple[Sequence[float], str]]) -> page.Tile:
     from PIL import ImageDraw
 
     picture, caption = page.tile(view.picture, caption)

@@ -4,7 +4,6 @@
     detectors:
       - name: yolo
         onnx: yolo.onnx
-        layout: yolov8                # or yolov5, detr, rtdetr, boxes; see `decode`
         size: [640, 640]              # width and height that it is given [px]; its own if it has a fixed one
         letterbox: true               # keep the picture's proportions and pad; false stretches
         mean: [0, 0, 0]               # (R, G, B of 0 to 1 - mean) / std
@@ -29,23 +28,9 @@ from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.base.yamlio import Located, switch
 from synfog_usd.lab.benchmark.methods import OF_ALL, Method, declared, is_file, listed, mapping, number, refuse_twins
 
-LAYOUTS = ("yolov5", "yolov8", "detr", "rtdetr", "boxes")
 OUTPUTS = ("boxes", "scores", "labels")
-FIELDS = (
-    *OF_ALL,
-    "classes",
-    "layout",
-    "size",
-    "letterbox",
-    "mean",
-    "std",
-    "order",
-    "score",
-    "nms",
-    "centred",
-    "relative",
-    "outputs",
-)
+OF_DETECTORS = ("classes", "size", "letterbox", "mean", "std", "order", "score", "centred", "relative", "outputs")
+FIELDS = (*OF_ALL, *OF_DETECTORS)
 
 Classes = tuple[tuple[int, tuple[str, ...]], ...]
 """Class number, and the labels that it covers."""
@@ -60,8 +45,6 @@ COCO: dict[str, Classes] = {
 }
 """COCO's road users and traffic lights, by their place among the 80 that are used, and by their official numbers."""
 
-COUNTS = {"coco80": 80, "coco91": 91}
-
 
 @dataclass(frozen=True)
 class Detector(Method):
@@ -69,31 +52,24 @@ class Detector(Method):
 
     Attributes:
         classes: which of its classes are measured, and what they cover.
-        count: how many classes it has; 0 where only the numbers above are known.
-        layout: what its outputs are, see `decode`.
         size: width and height of its input [px], or ().
         letterbox: whether the picture keeps its proportions in it.
         mean, std: of R, G and B, 0 to 1.
         order: 'rgb' or 'bgr'.
         score: boxes below it are left out.
-        nms: of two boxes of a class whose intersection over union is larger, the better stays; YOLO's layouts alone.
-        centred, relative: boxes of the layout 'boxes' are centre, width and height, not corners; are shares of the
-            sides, not pixels.
+        centred, relative: its boxes are centre, width and height, not corners; are shares of the sides, not pixels.
         outputs: names of the network's outputs by what they hold, where their shapes do not distinguish them.
     """
 
     suffix: ClassVar[str] = ".json"
 
     classes: Classes = ()
-    count: int = 0
-    layout: str = "boxes"
     size: tuple[int, ...] = ()
     letterbox: bool = True
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     order: str = "rgb"
     score: float = 0.001
-    nms: float = 0.65
     centred: bool = False
     relative: bool = False
     outputs: tuple[tuple[str, str], ...] = ()
@@ -119,11 +95,9 @@ def _detector(entry: Located, folder: Path) -> Detector:
     if "classes" not in fields:
         raise ParameterError(f"{entry.place}: a detector needs classes: {', '.join(COCO)}, a list or a mapping")
     more: dict[str, Any] = {}
-    more["classes"], more["count"] = _classes(fields["classes"])
-    if "onnx" in fields and "layout" not in fields:
-        raise ParameterError(f"{entry.place}: a network needs a layout, one of {', '.join(LAYOUTS)}")
+    more["classes"] = _classes(fields["classes"])
     flags = dict.fromkeys(("letterbox", "centred", "relative"), (True, False))
-    for key, allowed in {"layout": LAYOUTS, "order": ("rgb", "bgr"), **flags}.items():
+    for key, allowed in {"order": ("rgb", "bgr"), **flags}.items():
         if key in fields:
             value = switch(fields[key].plain()) if key in flags else fields[key].plain()
             if not any(value is option or (isinstance(option, str) and value == option) for option in allowed):
@@ -135,9 +109,8 @@ def _detector(entry: Located, folder: Path) -> Detector:
     for key, low in (("mean", -1000.0), ("std", 1e-6)):
         if key in fields:
             more[key] = _numbers(fields[key], key, 3, low, 1000.0)
-    for key in ("score", "nms"):
-        if key in fields:
-            more[key] = float(number(fields[key], key, 0.0, 1.0))
+    if "score" in fields:
+        more["score"] = float(number(fields["score"], "score", 0.0, 1.0))
     if "outputs" in fields:
         named = mapping(fields["outputs"], "outputs", OUTPUTS)
         more["outputs"] = tuple((key, str(node.plain())) for key, node in named.items())
@@ -150,22 +123,20 @@ def _numbers(node: Located, key: str, count: int, low: float, high: float) -> tu
     return tuple(float(number(entry, key, low, high)) for entry in node.value)
 
 
-def _classes(node: Located) -> tuple[Classes, int]:
-    """What is covered, and how many classes there are; 0 where it is not stated."""
+def _classes(node: Located) -> Classes:
+    """What each class covers."""
     if isinstance(node.value, str):
         if node.value not in COCO:
             raise ParameterError(
                 f"{node.place}: classes is {node.value!r}; it is {', '.join(COCO)}, a list or a mapping"
             )
-        return COCO[node.value], COUNTS[node.value]
+        return COCO[node.value]
     if isinstance(node.value, list):
         covered = [(entry, place) for place, entry in enumerate(node.value) if entry.value is not None]
-        count = len(node.value)
     elif isinstance(node.value, dict):
         covered = [
             (Located(label, entry.key_place or entry.place), _place(entry)) for label, entry in node.value.items()
         ]
-        count = 0
     else:
         raise ParameterError(f"{node.place}: classes is {', '.join(COCO)}, a list or a mapping")
     label_names = {label.name for label in LABELS.values()}
@@ -179,7 +150,7 @@ def _classes(node: Located) -> tuple[Classes, int]:
         result.setdefault(place, []).append(label.value)
     if not result:
         raise ParameterError(f"{node.place}: classes names no label of the set")
-    return tuple((place, tuple(result[place])) for place in sorted(result)), count
+    return tuple((place, tuple(result[place])) for place in sorted(result))
 
 
 def _place(node: Located) -> int:
@@ -188,7 +159,7 @@ def _place(node: Located) -> int:
     return node.value
 
 
-def as_boxes(answer: Any, detector: Detector) -> list[list[float]]:
+def as_boxes(answer: object, detector: Detector) -> list[list[float]]:
     """A detector's answer, once it is known to be one.
 
     Returns:

@@ -5,14 +5,11 @@
       - none
       - dcp
       - {name: mine, onnx: mine.onnx, multiple: 8}
-      - {name: ours, torch: ours.pt2}
       - {name: theirs, command: [python, run.py, --in, "{in}", --out, "{out}"], takes: srgb.png, timeout_s: 60}
 
-A network, of ONNX or a torch module that torch.export or TorchScript saved, takes and gives R, G and B of
-(1, 3, H, W), `range: [0, 1]` unless it says [-1, 1]; with `takes: raw.dng` it takes the planes of the mosaic, see
-`raw`.  A command reads the file {in} and writes a PNG of the
-same size to {out}; `takes: raw.dng` hands it the RAW file.  A network or command works on one picture at a
-time, and has all cores, unless `at_once` says how many it may.
+An ONNX network takes and gives R, G and B of (1, 3, H, W), from 0 to 1, or -1 to 1 by `range: [-1, 1]`.  With
+`takes: raw.dng` it takes the planes of the mosaic, see `raw`.  A command reads the file {in} and writes a PNG of the
+same size to {out}.  Both work on one picture at a time, and have all cores, unless `at_once` allows more.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ PNG = "srgb.png"
 OF_ALL = ("name", "onnx", "command", "takes", "timeout_s", "memory_gb", "at_once")
 """What methods of every kind are declared by."""
 
-FIELDS = (*OF_ALL, "torch", "range", "multiple")
+FIELDS = (*OF_ALL, "range", "multiple")
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Method:
 
     Attributes:
         name: for tables.
-        kind: 'classic', 'onnx', 'torch' or 'command'.
+        kind: 'classic', 'onnx' or 'command'.
         target: the classic's name, the network's path or the command's folder.
         command: words, with {in} and {out}.
         takes: name of the file that it is given.
@@ -172,7 +169,7 @@ def declared(
         entry, fields: the entry, and what stands in it.
         folder: to which its paths are relative.
         more: what else decides its answers.
-        raw: whether a network may be a torch module, and take RAW.
+        raw: whether a network may take RAW.
 
     Raises:
         ParameterError: a fault, with its place.
@@ -180,10 +177,8 @@ def declared(
     name = fields["name"].plain() if "name" in fields else None
     if not isinstance(name, str) or not name:
         raise ParameterError(f"{entry.place}: a method needs a name")
-    ways = [way for way in ("onnx", "torch", "command") if way in fields]
-    if len(ways) != 1:
-        torch = ", torch: FILE" if raw else ""
-        raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE{torch} and command: [WORDS]")
+    if ("onnx" in fields) == ("command" in fields):
+        raise ParameterError(f"{entry.place}: method {name!r} needs one of onnx: FILE and command: [WORDS]")
     values: dict[str, Any] = {}
     for key, low, high in (("timeout_s", 0.1, 86400.0), ("memory_gb", 0.1, 4096.0)):
         if key in fields:
@@ -191,7 +186,7 @@ def declared(
     if "takes" in fields:
         value = fields["takes"].plain()
         plain = isinstance(value, str) and Path(value).name == value
-        if not plain or (ways != ["command"] and not (raw and value.endswith(".dng"))):
+        if not plain or ("onnx" in fields and not (raw and value.endswith(".dng"))):
             raise ParameterError(
                 f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
                 f"{', or of a RAW file, for a network' if raw else ''}"
@@ -200,15 +195,13 @@ def declared(
     decides = {**values, **more}
     if "at_once" in fields:
         values["at_once"] = int(number(fields["at_once"], "at_once", 1, 1024))
-    if ways != ["command"]:
-        kind = ways[0]
-        value = fields[kind].plain()
+    if "onnx" in fields:
+        value = fields["onnx"].plain()
         path = folder / str(value)
         if not isinstance(value, str) or not path.is_file():
-            raise ParameterError(f"{fields[kind].place}: {path}: no such file")
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        version = _hash(kind, digest, decides)
-        return {"name": name, "kind": kind, "target": str(path.resolve()), "version": version, **values}
+            raise ParameterError(f"{fields['onnx'].place}: {path}: no such file")
+        version = _hash("onnx", hashlib.sha256(path.read_bytes()).hexdigest(), decides)
+        return {"name": name, "kind": "onnx", "target": str(path.resolve()), "version": version, **values}
     words = fields["command"].plain()
     place = fields["command"].place
     if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):

@@ -10,7 +10,6 @@ import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -151,5 +150,5 @@ def measure(picture: Picture, truth: Picture) -> dict[str, float]:
     return {name: value for name, value in distances.items() if math.isfinite(value)}
 
 
-def _size(picture: Any) -> str:
+def _size(picture: Picture) -> str:
     return f"{picture.shape[1]} x {picture.shape[0]}"

@@ -7,7 +7,7 @@ import io
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import ParameterError
@@ -19,6 +19,10 @@ from synfog_usd.lab.benchmark.pairs import Pair
 from synfog_usd.lab.benchmark.statistics import Mean, mean, ranks
 from synfog_usd.lab.benchmark.worker import MethodError, MethodWorker
 
+if TYPE_CHECKING:
+    from PIL import Image
+
+Item = TypeVar("Item")
 SHOWN = 6
 """Pairs in the sheet of pictures."""
 
@@ -28,12 +32,12 @@ TILE_PX, GAP_PX, CAPTION_PX = 320, 6, 22
 Row = tuple[Defogger, int, dict[str, Mean]]
 """A method, its rank, and its mean by metric."""
 
-Tile = tuple[Any, str]
-"""A picture of Pillow's, and its caption."""
+Tile = tuple["Image.Image", str]
+"""A picture, and its caption."""
 
 
 def write(bench: Bench, rows: Sequence[Row], out: Path) -> None:
-    """Write table.md, table.csv, table.tex and pictures.png.
+    """Write table.md, table.csv and pictures.png.
 
     Args:
         bench: what was measured.
@@ -45,7 +49,6 @@ def write(bench: Bench, rows: Sequence[Row], out: Path) -> None:
     """
     files.write_bytes(out / "table.md", markdown(bench, rows).encode())
     files.write_bytes(out / "table.csv", _csv(rows).encode())
-    files.write_bytes(out / "table.tex", _latex(rows).encode())
     _pictures(bench, out / "pictures.png")
 
 
@@ -68,14 +71,14 @@ def rows(bench: Bench) -> list[Row]:
     return sorted(found_rows, key=lambda row: (row[1], sign * row[2][first].value))
 
 
-def _told(rows: Sequence[Row]) -> list[str]:
+def _common_metrics(rows: Sequence[Row]) -> list[str]:
     """Names of the metrics that every method has."""
     return [name for name in metrics.usable() if all(name in means for _, _, means in rows)]
 
 
 def markdown(bench: Bench, rows: Sequence[Row]) -> str:
     """The tables, and under them what they rest on."""
-    names = _told(rows)
+    names = _common_metrics(rows)
     titles = [_title(name) for name in names]
     scenes = len({pair.scene for pair in bench.items})
     lines = [
@@ -146,36 +149,6 @@ def _csv(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def _latex(rows: Sequence[Row]) -> str:
-    names = _told(rows)
-    best = {
-        name: (max if metrics.METRICS[name].higher else min)(means[name].value for _, _, means in rows)
-        for name in names
-        if rows
-    }
-    titles = [f"{metrics.METRICS[n].title} $\\{'up' if metrics.METRICS[n].higher else 'down'}arrow$" for n in names]
-    lines = []
-    for method, _, means in rows:
-        cells = []
-        for name in names:
-            text = f"{means[name].value:.{metrics.METRICS[name].decimals}f}"
-            cells.append(f"\\textbf{{{text}}}" if means[name].value == best[name] else text)
-        lines.append([escaped(method.name), *cells])
-    return latex(["Defogger", *titles], lines)
-
-
-def latex(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A table of cells that are LaTeX already; the first column is text."""
-    body = [f"{' & '.join(cells)} \\\\" for cells in lines]
-    top = [f"\\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}", "\\hline", f"{' & '.join(head)} \\\\", "\\hline"]
-    return "\n".join([*top, *body, "\\hline", "\\end{tabular}", ""])
-
-
-def escaped(text: str) -> str:
-    """Plain text as LaTeX."""
-    return "".join(f"\\{letter}" if letter in "_&%$#{}" else letter for letter in text if letter not in "\\^~")
-
-
 def _pictures(bench: Bench, path: Path) -> None:
     """A row a pair: foggy, each method's answer, clear."""
     methods = [method for method in bench.methods if method.target != "none"]
@@ -205,7 +178,7 @@ def _answer(bench: Bench, pair: Pair, method: Defogger, worker: MethodWorker) ->
     return no_answer(method.name)
 
 
-def spread(items: Sequence[Any]) -> list[Any]:
+def spread(items: Sequence[Item]) -> list[Item]:
     """At most `SHOWN` of them, spread over all."""
     count = min(SHOWN, len(items))  # one more each time, so that not every row is of one fog
     return [items[place] for place in sorted({(n * len(items) // count + n) % len(items) for n in range(count)})]
@@ -221,8 +194,8 @@ def tile(path: Path, caption: str) -> Tile:
         return no_answer(caption, "cannot be read")
 
 
-def fitted(picture: Any) -> Any:
-    """A picture of Pillow's in the sheet's width."""
+def fitted(picture: Image.Image) -> Image.Image:
+    """A picture in the sheet's width."""
     return picture.resize((TILE_PX, max(1, round(TILE_PX * picture.height / picture.width))))
 
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.dataset.rig import RIG
 from synfog_usd.dataset.sequence import SEQUENCE
 from synfog_usd.dataset.sets import index
-
-Row = TypeVar("Row")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -138,39 +135,31 @@ def _bakes_in(source: Path, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple
         yield words, source
     for manifest, views in ((source / RIG, "cameras"), (source / SEQUENCE, "frames")):
         if manifest.is_file():
-            for folder in _told(manifest, functools.partial(_folders_in, views)):
-                yield from _bakes_in(source / folder, (*words, folder))
+            for row in _rows(manifest, views, ("folder",)):
+                yield from _bakes_in(source / row["folder"], (*words, row["folder"]))
 
 
-def _folders_in(views: str, manifest: Any) -> list[str]:
-    return [str(row["folder"]) for row in manifest[views]]
-
-
-def _told(manifest: Path, read: Callable[[Any], list[Row]]) -> list[Row]:
-    """What is read of a manifest.
+def _rows(manifest: Path, table: str, keys: Sequence[str]) -> list[dict[str, Any]]:
+    """The rows of a table of a manifest.
 
     Raises:
-        ParameterError: it is damaged.
+        ParameterError: it is damaged, or a row lacks a key.
     """
     try:
-        return read(json.loads(manifest.read_text(encoding="utf-8")))
+        rows = json.loads(manifest.read_text(encoding="utf-8"))[table]
+        return [{key: row[key] for key in keys} for row in rows]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ParameterError(f"{manifest}: is no manifest of a bake ({error})") from error
 
 
 def _of_bake(source: Path, picture: str, clear: str, words: tuple[str, ...] = ()) -> Iterator[Pair]:
     """Pairs of one bake; cameras and frames are of one scene, as fogs are."""
-    shots = _told(
-        source / "bake.json",
-        lambda found: [
-            (str(row["lighting"]), str(row["fog"]), source / row["folder"], sorted(row["files"]))
-            for row in found["shots"]
-        ],
-    )
-    of_clear = {lighting: folder / picture for lighting, fog, folder, _ in shots if fog == clear}
-    for lighting, fog, folder, names in shots:
-        if fog != clear and picture in names and lighting in of_clear and of_clear[lighting].is_file():
-            files = {name: folder / name for name in names}
+    shots = _rows(source / "bake.json", "shots", ("lighting", "fog", "folder", "files"))
+    of_clear = {row["lighting"]: source / row["folder"] / picture for row in shots if row["fog"] == clear}
+    for row in shots:
+        lighting, fog, folder = row["lighting"], row["fog"], source / row["folder"]
+        if fog != clear and picture in row["files"] and lighting in of_clear and of_clear[lighting].is_file():
+            files = {name: folder / name for name in sorted(row["files"])}
             yield Pair("_".join((*words, lighting, fog)), lighting, fog, of_clear[lighting], folder / picture, files)
 
 

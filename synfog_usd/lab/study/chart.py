@@ -2,8 +2,8 @@
 
 Every model is run at several numbers of samples, and the model of a bake at each word of
 quality, three times with different seeds.  The reference has many more samples, from other
-random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png`,
-`chart.html` and `notes.txt`, which says what does not hold.  Time is what this study
+random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png` and
+`notes.txt`, which says what does not hold.  Time is what this study
 measures, so its files differ from run to run; the pictures behind them do not.
 """
 
@@ -30,14 +30,14 @@ from synfog_usd.base.seeds import seed32
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.lab.study import accuracy
 from synfog_usd.lab.study.accuracy import Reference
-from synfog_usd.lab.study.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, lines, summary, table
+from synfog_usd.lab.study.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, summary, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.shot import Settings
     from synfog_usd.scene import SceneDict
 
-NAMES = ("chart.csv", "chart.svg", "chart.png", "chart.html", "notes.txt")
+NAMES = ("chart.csv", "chart.svg", "chart.png", "notes.txt")
 SAMPLES, PEER_SAMPLES = (8, 32, 128, 512), (8, 32, 128)
 RUNS = 3
 """Renders a point; the first of a line may have to wait for a kernel and is timed apart, all of them count for the
@@ -111,14 +111,12 @@ class Chart:
         title: stage, lighting, fog and size.
         points: one for each line and number of samples, in that order.
         reference: the converged picture.
-        pictures: line -> (samples, the first run's (H, W, 3)) at its most samples.
         notes: what was left out and why.
     """
 
     title: str
     points: list[Point]
     reference: Reference
-    pictures: dict[str, tuple[int, Array]]
     notes: list[str]
 
 
@@ -183,9 +181,8 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
     work.render(lenient=lenient)
     reference = work.reference(next((name for name in models.ours_unbiased() if name in holding), "volpath"))
     points = _points(work.lines, reference, plan.size, backend_used.variant, auto, plan.target)
-    pictures = {line.name: (max(line.runs), line.runs[max(line.runs)][0]) for line in work.lines}
     title = f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}"
-    result = Chart(title, points, reference, pictures, notes)
+    result = Chart(title, points, reference, notes)
     _write(result, plan.out)
     progress(f"done after {time.perf_counter() - began:.0f} s", 1.0)
     return result
@@ -315,7 +312,7 @@ class _Sweep:
 
 
 def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
-    """Chart every stage of a folder into a folder of its name, with a page and a table over all.
+    """Chart every stage of a folder into a folder of its name, with drawings and a table over all.
 
     Raises:
         ParameterError: the folder holds no stage.
@@ -340,15 +337,14 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
 
 
 def write_suite(points: Mapping[str, Sequence[Point]], out: Path) -> None:
-    """The table, the drawing and the page over several charts."""
-    from synfog_usd.lab.study import drawing, page
+    """The table and the drawings over several charts."""
+    from synfog_usd.lab.study import drawing
 
     rows = [row for name, line in points.items() for row in summary(name, line)]
     files.write_bytes(out / "summary.csv", table(rows).encode())
     for measure, name in ((ERROR, "suite"), (MOTTLE, "mottle")):
         for kind, data in zip(("svg", "png"), drawing.draw_suite(points, measure), strict=True):
             files.write_bytes(out / f"{name}.{kind}", data)
-    files.write_bytes(out / "index.html", page.index(points, rows).encode())
 
 
 def check(plan: ChartPlan) -> None:
@@ -543,12 +539,11 @@ def _points(
 
 
 def _write(result: Chart, out: Path) -> None:
-    from synfog_usd.lab.study import drawing, page
+    from synfog_usd.lab.study import drawing
 
     svg, png = drawing.draw_chart(result.points, title=result.title)
-    text = page.page(result.title, svg.decode(), lines(result.points), result.reference, result.pictures, result.notes)
     notes = "".join(f"{note}\n" for note in result.notes)
-    for name, data in zip(NAMES, (table(result.points).encode(), svg, png, text.encode(), notes.encode()), strict=True):
+    for name, data in zip(NAMES, (table(result.points).encode(), svg, png, notes.encode()), strict=True):
         files.write_bytes(out / name, data)
 
 

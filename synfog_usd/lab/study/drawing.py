@@ -1,4 +1,4 @@
-"""Charts of seconds against error, drawn so that no label lies on another.
+"""Charts of seconds against error.
 
 Takes the points of `points`; gives SVG and PNG bytes, the same each time.
 """
@@ -6,10 +6,10 @@ Takes the points of `points`; gives SVG and PNG bytes, the same each time.
 from __future__ import annotations
 
 import io
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from synfog_usd.lab.study.points import ERROR, MOTTLE, Point, front, lines
 
@@ -25,22 +25,7 @@ LOOKS = {
     "single": ("#7d8a00", "P"),
 }
 """Model -> colour and marker: blue what is unbiased, orange the peers, others what leaves something out."""
-DARK = {
-    INK: "#e6e8ea",
-    FAINT: "#9aa0a6",
-    GRID: "#3a3f44",
-    PAPER: "#16191c",
-    "#0b5fa5": "#5aa9ec",
-    "#c1440e": "#ff8a5c",
-    "#c98100": "#f2b33d",
-    "#7d8a00": "#c3d04a",
-}
-"""What each colour becomes on a dark page."""
 OTHER = (("#5f6870", "*"), ("#3d4a99", "<"), ("#99693d", ">"))
-DIRECTIONS = tuple(
-    (dx / 2, dy / 2) for dx in (2, 1, 0, -1, -2) for dy in (0, 1, -1, 2, -2) if max(abs(dx), abs(dy)) == 2
-)
-"""Where a label may stand beside its mark, to the right of it first."""
 DASHES = ("-", "--", ":", "-.")
 AXES = {
     ERROR: "total relative error of a pixel's luminance, RMS",
@@ -70,7 +55,8 @@ def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
         axes = figure.add_subplot(grid[0, 0])
         aside = figure.add_subplot(grid[0, 1], sharey=axes)
         clouds = figure.add_subplot(grid[1, 0], sharex=axes)
-        steps = {measure: _panel(each, points, measure) for each, measure in ((axes, ERROR), (clouds, MOTTLE))}
+        for each, measure in ((axes, ERROR), (clouds, MOTTLE)):
+            _panel(each, points, measure)
         clouds.set_xlabel(SECONDS)
         axes.set_title(title, loc="left", fontsize=11.5, fontweight="bold", pad=22)
         aside.tick_params(labelleft=False)
@@ -89,10 +75,6 @@ def draw_chart(points: Sequence[Point], *, title: str) -> tuple[bytes, bytes]:
             color=FAINT,
         )
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False, fontsize=8.5)
-        figure.canvas.draw()
-        figure.set_layout_engine("none")
-        _label(axes, points, steps[ERROR], ERROR)
-        _label(clouds, points, steps[MOTTLE], MOTTLE)
         return _both(pyplot, figure)
 
 
@@ -102,32 +84,36 @@ def _drawable(points: Sequence[Point], measure: str) -> dict[str, list[Point]]:
     return {name: line for name, line in by_line.items() if line}
 
 
-def _panel(axes: Axes, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
-    """Draw seconds against a measure; gives the corners of the front."""
-    by_line, names = _drawable(points, measure), list(lines(points))
+def _panel(axes: Axes, points: Sequence[Point], measure: str) -> None:
+    """Seconds against a measure; beside each mark its number of samples, or its word."""
+    by_line = _drawable(points, measure)
     _scales(axes, [point for line in by_line.values() for point in line] or points, points[0], measure)
-    steps = _front(axes, points, measure)
+    _front(axes, points, measure)
     for name, line in by_line.items():
-        colour, marker = look(line[0].model)
-        dash = _dash(name, names)
-        axes.plot([p.seconds for p in line], [p.amount(measure) for p in line], dash, color=colour, lw=1.7, zorder=3)
+        colour = _draw_line(axes, name, lines(points), line, measure, size=8.5)
         for point in line:
-            _marker(axes, point, measure, colour, marker, hollow=dash != "-")
-    chosen = [point for point in points if point.enough and measure == ERROR]
-    if chosen:
-        axes.plot(
-            [p.seconds for p in chosen],
-            [p.relative_rms for p in chosen],
-            "o",
-            ms=17,
-            mfc="none",
-            mec=INK,
-            mew=1.6,
-            zorder=6,
-            label="enough for the error asked for",
-        )
+            at = (point.seconds, point.amount(measure))
+            axes.annotate(point.mark, at, (5, 5), textcoords="offset points", fontsize=8.0, color=colour)
+    _ring(axes, points, measure, size=17)
     axes.set_ylabel(AXES[measure])
-    return steps
+
+
+def _draw_line(axes: Axes, name: str, names: Iterable[str], line: Sequence[Point], measure: str, *, size: float) -> str:
+    """One line with its marks; gives its colour."""
+    colour, marker = look(line[0].model)
+    dash = _dash(name, names)
+    face, edge = (colour, PAPER) if dash == "-" else (PAPER, colour)
+    x, y = [point.seconds for point in line], [point.amount(measure) for point in line]
+    axes.plot(x, y, dash + marker, color=colour, lw=size / 5, ms=size, mfc=face, mec=edge, zorder=3, label=name)
+    return colour
+
+
+def _ring(axes: Axes, points: Sequence[Point], measure: str, *, size: float) -> None:
+    """A ring round the point that is enough for the error asked for."""
+    ringed = [point for point in points if point.enough and measure == ERROR]
+    if ringed:
+        x, y = [point.seconds for point in ringed], [point.relative_rms for point in ringed]
+        axes.plot(x, y, "o", ms=size, mfc="none", mec=INK, mew=1.5, zorder=6, label="enough for the error asked for")
 
 
 def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> tuple[bytes, bytes]:
@@ -152,14 +138,10 @@ def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> t
             axes.tick_params(labelbottom=index + columns >= len(stages))
         figure.supxlabel(SECONDS, fontsize=9.5)
         figure.supylabel(AXES[measure], fontsize=9.5)
-        handles = _handles([point for points in stages.values() for point in points], measure)
-        figure.legend(
-            handles=handles,
-            loc="outside upper center",
-            ncols=min(len(handles), max(3, 2 * columns)),
-            frameon=False,
-            fontsize=9,
-        )
+        handles = [axes.get_legend_handles_labels() for axes in grid.flat]
+        named = {label: handle for pair in handles for handle, label in zip(*pair, strict=True)}
+        ncols = min(len(named), max(3, 2 * columns))
+        figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=ncols, frameon=False, fontsize=9)
         return _both(pyplot, figure)
 
 
@@ -175,82 +157,13 @@ def _small_panel(axes: Axes, stages: Mapping[str, Sequence[Point]], name: str, m
         dense=False,
     )
     _front(axes, points, measure)
-    by_line = lines(points)
-    for line_name, line in by_line.items():
-        colour, marker = look(line[0].model)
-        shown = [p for p in line if p.amount(measure) > 0.0]
-        dash = _dash(line_name, by_line)
-        axes.plot(
-            [p.seconds for p in shown],
-            [p.amount(measure) for p in shown],
-            dash + marker,
-            color=colour,
-            lw=1.3,
-            ms=4.5,
-            mfc=colour if dash == "-" else PAPER,
-            zorder=3,
-        )
-    ringed = [p for p in points if p.enough and measure == ERROR]
-    ring: dict[str, Any] = {"ms": 12, "mfc": "none", "mec": INK, "mew": 1.3, "zorder": 6}
-    axes.plot([p.seconds for p in ringed], [p.relative_rms for p in ringed], "o", **ring)
+    for line_name, line in _drawable(points, measure).items():
+        _draw_line(axes, line_name, lines(points), line, measure, size=4.5)
+    _ring(axes, points, measure, size=12)
     axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
 
 
-def _handles(points: Sequence[Point], measure: str) -> list[Any]:
-    """What the legend of a suite names: each line, and what else is drawn."""
-    from matplotlib.lines import Line2D
-
-    handles, names = [], list(lines(points))
-    for name in names:
-        colour, marker = look(next(p for p in points if p.line == name).model)
-        dash = _dash(name, names)
-        fill = colour if dash == "-" else PAPER
-        handles.append(Line2D([], [], color=colour, marker=marker, ls=dash, ms=5, lw=1.4, mfc=fill, label=name))
-    handles.append(Line2D([], [], color=INK, lw=1.0, label="Pareto front"))
-    if measure == ERROR:
-        handles.append(Line2D([], [], color="#bfc3c7", lw=6, label="reference's own error"))
-    if measure == ERROR and any(point.enough for point in points):
-        ring: dict[str, Any] = {"marker": "o", "ms": 10, "mfc": "none", "ls": ""}
-        handles.append(Line2D([], [], color=INK, label="enough for the error asked for", **ring))
-    return handles
-
-
-def themed(svg: str) -> str:
-    """An SVG for the inside of a page: its colours become the page's variables, its header and metadata go."""
-    body = svg[svg.index("<svg") :]
-    if "<metadata>" in body:
-        body = body[: body.index("<metadata>")] + body[body.index("</metadata>") + len("</metadata>") :]
-    for colour in DARK:
-        body = body.replace(colour, f"var(--{colour[1:]})")
-    return body
-
-
-def theme() -> str:
-    """The CSS variables that `themed` names, on light and dark."""
-    light = "".join(f"--{colour[1:]}:{colour};" for colour in DARK)
-    dark = "".join(f"--{colour[1:]}:{dark_colour};" for colour, dark_colour in DARK.items())
-    return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"
-
-
-def point_id(point: Point, measure: str) -> str:
-    """The name of a point's marker in the SVG."""
-    return f"{measure}-" + "".join(c if c.isalnum() else "-" for c in point.line) + f"-{point.mark}"
-
-
-def percent(value: float) -> str:
-    """Three digits: '0.52 %', '12.3 %', '2440 %'."""
-    return f"{100 * value:.0f} %" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
-
-
-def duration(value: float) -> str:
-    """Two or three digits in the unit that fits: '0.43 s', '12 s', '7.5 min', '40 h'."""
-    for size, unit in ((3600.0, "h"), (60.0, "min")):
-        if value >= 2.0 * size:
-            return f"{value / size:,.0f} {unit}" if value >= 10.0 * size else f"{value / size:.1f} {unit}"
-    return f"{value:.0f} s" if value >= 9.95 else f"{value:.2g} s"
-
-
-def _pyplot() -> Any:
+def _pyplot() -> ModuleType:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -302,13 +215,13 @@ def _scales(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _front(axes: Axes, points: Sequence[Point], measure: str) -> list[tuple[float, float]]:
-    """Draw the steps from one point that nothing beats to the next; gives their corners."""
+def _front(axes: Axes, points: Sequence[Point], measure: str) -> None:
+    """The steps from one point that nothing beats to the next."""
     least = points[0].reference_rms if measure == ERROR else 0.0
     shown = [point for point in points if point.amount(measure) > 0.0 and point.counts(measure)]
     best = [shown[index] for index in front([(point.seconds, max(point.amount(measure), least)) for point in shown])]
     if not best:
-        return []
+        return
     heights = [axes.get_ylim()[1], *(max(point.amount(measure), least) for point in best)]
     ends = [*(point.seconds for point in best[1:]), axes.get_xlim()[1]]
     corners = [(best[0].seconds, heights[0])]
@@ -321,24 +234,6 @@ def _front(axes: Axes, points: Sequence[Point], measure: str) -> list[tuple[floa
         alpha=0.8,
         zorder=2,
         label="Pareto front: nothing is faster and closer",
-    )
-    return corners
-
-
-def _marker(axes: Axes, point: Point, measure: str, colour: str, marker: str, *, hollow: bool) -> None:
-    face, edge = (PAPER, colour) if hollow else (colour, PAPER)
-    size = 7.5 if marker in "sD" else 8.5
-    axes.plot(
-        [point.seconds],
-        [point.amount(measure)],
-        marker,
-        color=colour,
-        ms=size - hollow,
-        mfc=face,
-        mec=edge,
-        mew=1.3 if hollow else 0.9,
-        zorder=4,
-        gid=point_id(point, measure),
     )
 
 
@@ -368,104 +263,7 @@ def _aside(axes: Axes, by_line: Mapping[str, Sequence[Point]], first: Point) -> 
     axes.set_title("At the most samples\n○ noise   ◆ bias   ↓ bias below", loc="left", fontsize=9.5)
 
 
-def _label(axes: Axes, points: Sequence[Point], steps: Sequence[tuple[float, float]], measure: str) -> None:
-    """Names at the ends of lines, then words and numbers of samples where there is room for them."""
-    labels = _Labels(axes, _drawable(points, measure), steps, measure)
-    for name, line in sorted(labels.by_line.items(), key=lambda item: -item[1][-1].seconds):
-        labels.put(line[-1], name, required=True, fontsize=10.0, fontweight="bold")
-    for line in labels.by_line.values():
-        for point in dict.fromkeys((line[-1], line[0], *line[1:-1])):
-            labels.put(point, point.mark, required=False, fontsize=8.0, fontweight="normal")
-
-
-class _Labels:
-    """Labels beside marks, each where it covers no mark, no other label, and as little as possible of the lines.
-
-    Args:
-        axes: whose scales are final.
-        by_line: marks.
-        steps: corners of the front [data].
-        measure: of the axis.
-    """
-
-    def __init__(
-        self, axes: Axes, by_line: dict[str, list[Point]], steps: Sequence[tuple[float, float]], measure: str
-    ) -> None:
-        self.axes, self.by_line, self.measure = axes, by_line, measure
-        canvas: Any = axes.figure.canvas
-        self.renderer, self.unit = canvas.get_renderer(), axes.figure.dpi / 72.0  # pixels of a point
-        to_pixels = axes.transData.transform
-        self.marks: dict[int, Any] = {
-            id(point): to_pixels((point.seconds, point.amount(measure))) for line in by_line.values() for point in line
-        }
-        self.boxes: list[tuple[float, float, float, float]] = []
-        for point in (point for line in by_line.values() for point in line):
-            reach = (10.0 if point.enough else 5.0) * self.unit
-            x, y = self.marks[id(point)]
-            self.boxes.append((x - reach, y - reach, x + reach, y + reach))
-        self.strokes: list[tuple[float, float]] = []
-        paths = [[self.marks[id(point)] for point in line] for line in by_line.values()]
-        for path in [*paths, [to_pixels(corner) for corner in steps]]:
-            for (x0, y0), (x1, y1) in itertools.pairwise(path):
-                count = max(2, int(math.hypot(x1 - x0, y1 - y0) / (3 * self.unit)))
-                self.strokes += [(x0 + (x1 - x0) * i / count, y0 + (y1 - y0) * i / count) for i in range(count + 1)]
-        frame, margin = axes.get_window_extent(self.renderer), 2 * self.unit
-        self.frame = (frame.x0 + margin, frame.y0 + margin, frame.x1 - margin, frame.y1 - margin)
-
-    def put(self, point: Point, text: str, *, required: bool, **font: Any) -> None:
-        """Write beside a mark; where there is no room, not at all unless `required`."""
-        colour = look(point.model)[0]
-        at = (point.seconds, point.amount(self.measure))
-        label = self.axes.annotate(text, at, (0, 0), textcoords="offset points", color=colour, zorder=7, **font)
-        extent = label.get_window_extent(self.renderer)
-        best = min(self._candidates(point, extent.width, extent.height, required), default=None, key=lambda one: one[0])
-        if best is None or (best[0] >= 1.2 and not required):
-            label.remove()
-            return
-        _, box, distance = best
-        self.boxes.append(box)
-        label.set_position(((box[0] + self.unit - extent.x0) / self.unit, (box[1] - extent.y0) / self.unit))
-        if distance > 20.0:
-            end = self.axes.transData.inverted().transform(_nearest(box, self.marks[id(point)]))
-            self.axes.plot([at[0], end[0]], [at[1], end[1]], color=colour, lw=0.7, alpha=0.7, zorder=2)
-
-    def _candidates(
-        self, point: Point, width: float, height: float, required: bool
-    ) -> Iterator[tuple[float, tuple[float, float, float, float], float]]:
-        """(cost, box [px], distance [points]) within the frame."""
-        x, y = self.marks[id(point)]
-        mine = {id(mark) for mark in self.by_line[point.line]}
-        foreign = [place for key, place in self.marks.items() if key not in mine]
-        for distance in (7.0, 10.0, 15.0, 22.0, 32.0, 44.0, 60.0) if required else (6.5, 9.0):
-            for dx, dy in DIRECTIONS:
-                reach = distance * self.unit / math.hypot(dx, dy)
-                x0 = x + dx * reach - width * (0.5 - 0.5 * dx)
-                low = y + dy * reach - height * (0.5 - 0.5 * dy)
-                box = (x0 - self.unit, low, x0 + width + self.unit, low + height)
-                inside = self.frame
-                if box[0] < inside[0] or box[1] < inside[1] or box[2] > inside[2] or box[3] > inside[3]:
-                    continue
-                covered = sum(_overlap(box, label_box) for label_box in self.boxes)
-                cost = 10.0 * covered + 0.2 * sum(_holds(box, place) for place in self.strokes) + distance / 20.0
-                to_foreign = min((math.dist(_nearest(box, place), place) for place in foreign), default=math.inf)
-                if math.dist(_nearest(box, (x, y)), (x, y)) > to_foreign:
-                    cost += 3.0  # it would be read as another line's
-                yield cost, box, distance
-
-
-def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
-
-
-def _holds(box: Sequence[float], place: Sequence[float]) -> bool:
-    return box[0] < place[0] < box[2] and box[1] < place[1] < box[3]
-
-
-def _nearest(box: Sequence[float], place: Sequence[float]) -> tuple[float, float]:
-    return min(max(place[0], box[0]), box[2]), min(max(place[1], box[1]), box[3])
-
-
-def _both(pyplot: Any, figure: Figure) -> tuple[bytes, bytes]:
+def _both(pyplot: ModuleType, figure: Figure) -> tuple[bytes, bytes]:
     result = []
     for kind, more in (("svg", {"metadata": {"Date": None}}), ("png", {"dpi": 150, "metadata": {"Software": None}})):
         data = io.BytesIO()
