@@ -12,20 +12,21 @@ from pxr import Sdf
 
 from synfog_usd.base import resources, values
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.base.seeds import stream
 from synfog_usd.world import parameters
 from synfog_usd.world.departments import write_layers
-from synfog_usd.world.language import Recipe, load_root
-from synfog_usd.world.roads import crossing_recipe, recipe, roundabout_recipe, stage
+from synfog_usd.world.language import Draws, Recipe, load_root
+from synfog_usd.world.roads import crossing_recipe, roundabout_recipe, stage
+from synfog_usd.world.roads import recipe as road_recipe
+from synfog_usd.world.roads.traffic import speed_m_s
 from synfog_usd.world.spec import WorldSpec
 from synfog_usd.world.traffic import motion, write
 from synfog_usd.world.traffic.fcd import driven, seconds_of
 from synfog_usd.world.traffic.fcd import read as read_fcd
 from synfog_usd.world.traffic.fcd import write as write_fcd
 
-DRAWS: Mapping[str, Callable[..., WorldSpec]] = {
+DRAWS: Mapping[str, Callable[[Draws], WorldSpec]] = {
     "crossroads": crossing_recipe.draw,
-    "road": recipe.draw,
+    "road": road_recipe.draw,
     "roundabout": roundabout_recipe.draw,
 }
 """World -> what draws one of a recipe."""
@@ -47,13 +48,13 @@ def load(path: Path, changes: Sequence[str] = ()) -> Recipe:
     return parameters.read(load_root(path, changes), path.name)
 
 
-def draw(found: Recipe, *, seed: int) -> WorldSpec:
+def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     """One world of a recipe; the same seed gives the same.
 
     Raises:
         RecipeError: a rule cannot be met, or there is no room for so many people.
     """
-    return DRAWS[found.world](found, seed=seed)
+    return DRAWS[recipe.world](Draws(recipe, seed))
 
 
 def compose(
@@ -92,28 +93,19 @@ def compose(
     Raises:
         SynfogError: with its place; or the stage cannot be written.
     """
-    out, seed = values.path_of(path, "-o"), values.count(seed, "--seed")
-    if isinstance(change, Mapping):
-        change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
-    if out.suffix not in (".usda", ".usdc", ".usd"):
-        raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    out_fcd = None if fcd is None else values.path_of(fcd, "--fcd")
-    if out_fcd and out_fcd.suffix != ".xml":
-        raise RecipeError(f"--fcd {out_fcd}: not an XML file by its name; it ends in .xml")
+    seed = values.count(seed, "--seed")
+    out, out_fcd = _outputs(path, fcd)
     recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
     if recorded and seconds is None:
         seconds = seconds_of(recorded)
-    times = [
-        f"time.{name}={json.dumps(given)}" for name, given in (("seconds", seconds), ("fps", fps)) if given is not None
-    ]
-    found = load(values.path_of(recipe, "recipe"), [*change, *times])
-    spec = draw(found, seed=seed)
-    assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
-    clip = clip_of(found, spec, seed=seed)
+    chosen = load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps))
+    spec = draw(chosen, seed=seed)
+    clip = clip_of(chosen, spec, seed=seed)
     if clip is None and (recorded or out_fcd):
         raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
+    assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
 
     def author(place: Path) -> Sdf.Layer:
         layer = stage.author(place, spec, assets=assets)
@@ -127,25 +119,42 @@ def compose(
     return spec
 
 
-def clip_of(found: Recipe, spec: WorldSpec, *, seed: int) -> motion.Clip | None:
+def _outputs(path: str | os.PathLike[str], fcd: str | os.PathLike[str] | None) -> tuple[Path, Path | None]:
+    """The files that are written: the stage, and FCD where it is asked for.
+
+    Raises:
+        RecipeError: a name with another suffix.
+    """
+    out, out_fcd = values.path_of(path, "-o"), None if fcd is None else values.path_of(fcd, "--fcd")
+    if out.suffix not in (".usda", ".usdc", ".usd"):
+        raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
+    if out_fcd and out_fcd.suffix != ".xml":
+        raise RecipeError(f"--fcd {out_fcd}: not an XML file by its name; it ends in .xml")
+    return out, out_fcd
+
+
+def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, fps: float | None) -> list[str]:
+    """All changes as 'section.key=value'."""
+    if isinstance(change, Mapping):
+        change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
+    times = {"seconds": seconds, "fps": fps}
+    return [*change, *(f"time.{key}={json.dumps(value)}" for key, value in times.items() if value is not None)]
+
+
+def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> motion.Clip | None:
     """What moves in a world that was drawn of a recipe with a seed, or None where the recipe's `time` asks for a still.
 
     Raises:
         RecipeError: the camera's car would leave the drawn road.
     """
-
-    def value(name: str) -> Any:
-        return found.distributions[name](stream(seed, "recipe", name), hour=hour)
-
-    hour = 12.0
-    if "traffic.hour" in found.distributions:
-        hour = float(value("traffic.hour"))
-    frames = round(value("time.seconds") * value("time.fps"))
+    draws = Draws(recipe, seed)
+    fps = draws.number("time.fps")
+    frames = round(draws.number("time.seconds") * fps)
     if not frames:
         return None
-    headway = value("traffic.headway_s") if "traffic.headway_s" in found.distributions else HEADWAY_S
-    pace = motion.Pace(value("traffic.speed_kmh") / 3.6, headway, seed)
-    return motion.clip_of(spec, pace, frames=frames, fps=value("time.fps"))
+    headway_s = draws.number("traffic.headway_s") if "traffic.headway_s" in recipe.distributions else HEADWAY_S
+    pace = motion.Pace(speed_m_s(draws), headway_s, seed)
+    return motion.clip_of(spec, pace, frames=frames, fps=fps)
 
 
 def asset_folder(stage_folder: Path, assets: Path) -> str:

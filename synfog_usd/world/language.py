@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import special
@@ -22,6 +23,7 @@ from synfog_usd.base.yamlio import Located, Place, load_file, load_text
 
 SCHEMA = "recipe/1"
 FOG_DEFAULT = (600, 300, 150)
+Option = TypeVar("Option")
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,16 @@ class Categorical:
 
 
 Parameter = Continuous | Categorical
+Value = float | str | None
+"""Of a parameter; None where a recipe does without."""
 
 FOG = Continuous(10, 20000, None, "visibility (MOR) [m]", whole=True)
+
+
+def weighted(rng: np.random.Generator, options: Sequence[Option], weights: Sequence[float]) -> Option:
+    """One of some options, each as often as it weighs."""
+    edges = np.cumsum(weights)
+    return options[int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))]
 
 
 @dataclass(frozen=True)
@@ -65,14 +75,11 @@ class Distribution:
     weights: tuple[float, ...] = ()
     whole: bool = False
 
-    def __call__(self, rng: np.random.Generator, among: Sequence[str] | None = None, *, hour: float = 12.0) -> Any:
+    def __call__(self, rng: np.random.Generator, among: Sequence[str] | None = None, *, hour: float = 12.0) -> Value:
         """One value; of a choice only names in `among`, whose first it is where none of them is in the choice."""
         if self.kind == "choice":
             pairs = [(v, w) for v, w in zip(self.values, self.weights, strict=True) if among is None or v in among]
-            if not pairs:
-                return (among or self.values)[0]
-            edges = np.cumsum([w for _, w in pairs])
-            return pairs[int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))][0]
+            return weighted(rng, *zip(*pairs, strict=True)) if pairs else (among or self.values)[0]
         if self.kind == "uniform":
             return float(rng.uniform(*self.values))
         if self.kind == "integer":
@@ -83,10 +90,23 @@ class Distribution:
             value = float(np.clip(mean + deviation * special.ndtri(a + (b - a) * rng.random()), low, high))
             return round(value) if self.whole else value
         if self.kind == "by_hour":
-            at, value = np.array(self.values, dtype=np.float64).T
-            found = float(np.interp(hour, at, value, period=24.0))
-            return round(found) if self.whole else found
-        return self.values[0]
+            hours, values = np.array(self.values, dtype=np.float64).T
+            value = float(np.interp(hour, hours, values, period=24.0))
+            return round(value) if self.whole else value
+        fixed: Value = self.values[0]
+        return fixed
+
+    def word(self, rng: np.random.Generator, among: Sequence[str] | None = None) -> str:
+        """One value that is a name, see `__call__`."""
+        value = self(rng, among)
+        assert isinstance(value, str)
+        return value
+
+    def number(self, rng: np.random.Generator, *, hour: float = 12.0) -> float:
+        """One value that is a number."""
+        value = self(rng, hour=hour)
+        assert isinstance(value, int | float)
+        return value
 
 
 @dataclass(frozen=True)
@@ -119,8 +139,49 @@ class Recipe:
 
     def fog_variants(self, seed: int) -> dict[str, float | None]:
         """Variant -> MOR [m], the clearest first; None is clear air."""
-        drawn = sorted({one(stream(seed, "recipe", "fog", index)) for index, one in enumerate(self.fog)}, reverse=True)
-        return {"clear": None, **{f"mor{mor}": float(mor) for mor in drawn}}
+        mors = {mor.number(stream(seed, "recipe", "fog", index)) for index, mor in enumerate(self.fog)}
+        return {"clear": None, **{f"mor{mor}": float(mor) for mor in sorted(mors, reverse=True)}}
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What one seed draws of a recipe.
+
+    Every parameter has a random stream of its own name, so that changing one leaves what the others draw as it was.
+    """
+
+    recipe: Recipe
+    seed: int
+
+    def stream(self, *names: str | int) -> np.random.Generator:
+        """The random numbers of these names."""
+        return stream(self.seed, "recipe", *names)
+
+    @cached_property
+    def hour(self) -> float:
+        """Time of day [h] by which `by_hour` is read; noon in worlds without one."""
+        hour = self.recipe.distributions.get("traffic.hour")
+        return 12.0 if hour is None else float(hour.number(self.stream("traffic.hour")))
+
+    def optional(self, name: str, *index: int) -> float | None:
+        """A parameter that is a number, or None where the recipe does without; the index-th of several draws of it."""
+        value = self.recipe.distributions[name](self.stream(name, *index), hour=self.hour)
+        assert not isinstance(value, str)
+        return value
+
+    def number(self, name: str, *index: int) -> float:
+        """A parameter that is a number."""
+        value = self.optional(name, *index)
+        assert value is not None
+        return value
+
+    def whole(self, name: str, *index: int) -> int:
+        """A parameter that is a whole number."""
+        return int(self.number(name, *index))
+
+    def word(self, name: str) -> str:
+        """A parameter that is a name."""
+        return self.recipe.distributions[name].word(self.stream(name))
 
 
 def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
@@ -131,9 +192,9 @@ def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
     """
     root = load_file(path, error=RecipeError)
     for change in changes:
-        name, found, text = change.partition("=")
+        name, sign, text = change.partition("=")
         section, dot, key = name.strip().partition(".")
-        if not found or not dot or not section or not key or not isinstance(root.value, dict):
+        if not sign or not dot or not section or not key or not isinstance(root.value, dict):
             raise RecipeError(f"--change {change}: takes SECTION.KEY=VALUE, as in traffic.count=20")
         place = Place(f"--change {change}", 1, 1)
         value = replace(load_text(text, name=f"--change {change}", error=RecipeError), key_place=place)
@@ -163,13 +224,14 @@ def sections(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
 
 def read_distributions(items: Mapping[str, Located], parameters: Mapping[str, Parameter]) -> dict[str, Distribution]:
     """One draw for each parameter, from the sections of a recipe."""
-    found = {name: default(parameter) for name, parameter in parameters.items()}
+    distributions = {name: default(parameter) for name, parameter in parameters.items()}
     for section in sections(parameters):
         if section in items:
             keys = tuple(name.partition(".")[2] for name in parameters if name.startswith(section + "."))
             for key, item in mapping(items[section], section, keys).items():
-                found[f"{section}.{key}"] = read_distribution(item, f"{section}.{key}", parameters[f"{section}.{key}"])
-    return found
+                name = f"{section}.{key}"
+                distributions[name] = read_distribution(item, name, parameters[name])
+    return distributions
 
 
 def read_fog(items: Mapping[str, Located]) -> tuple[Distribution, ...]:

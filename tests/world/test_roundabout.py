@@ -19,7 +19,7 @@ from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import horizon, roundabout_surface
 from synfog_usd.world.roads.network import Land
 from synfog_usd.world.roads.reference_line import ReferenceLine
-from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, roundabout
+from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Arm, Circle, roundabout
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPE = ROOT / "stages" / "recipes" / "roundabout.yaml"
@@ -37,10 +37,8 @@ def spec(seed):
 @functools.cache
 def plain(radius=18.0, corner_m=15.0, headings=(180.0, 250.0, 5.0, 95.0), apron=1.5, hills=0.0):
     lines = [ReferenceLine(160.0, origin=(0.0, 0.0, heading)) for heading in headings]
-    return roundabout(
-        lines, radius=radius, ring_m=6.0, apron=apron, mound=1.0, lane_m=3.4, half_island=1.6, pavement=2.5,
-        zebra_m=8.0, corner_m=corner_m, land=Land(hills, 1),
-    )  # fmt: skip
+    circle = Circle(radius=radius, ring=6.0, apron=apron, mound=1.0, corner=corner_m)
+    return roundabout(lines, circle, Arm(lane=3.4, half_island=1.6, pavement=2.5, zebra=8.0), Land(hills, 1))
 
 
 def ground_triangles(junction, beside=True):

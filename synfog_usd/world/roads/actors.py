@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.props import numbered
@@ -22,57 +21,50 @@ is hidden takes half of one away.
 
 
 def in_sight(
-    recipe: Recipe,
-    drawn: Callable[[int, rules.CollisionSet], list[Placement]],
+    draws: Draws,
+    attempts: Callable[[int, rules.CollisionSet], list[Placement]],
     road: Road,
-    value: Any,
     view: View,
-    fov: float,
+    fov_x_deg: float,
     fixed: list[Placement],
-    taken: rules.CollisionSet,
+    occupied: rules.CollisionSet,
 ) -> list[Placement]:
     """Of the actors that attempt after attempt draws, those that meet the rules of sight best.
 
     Args:
-        recipe: for its name in errors.
-        drawn: takes the attempt's number and what stands already.
+        draws: for the rules, and the recipe's name in errors.
+        attempts: takes the attempt's number and what stands already.
         road: whose ground may hide something.
-        value: parameters by name.
-        view: the camera; fov: its horizontal angle of view [degrees].
-        fixed: what stands whatever is drawn.
-        taken: the room that it takes.
+        view: the camera; fov_x_deg: its horizontal angle of view.
+        fixed: what stands in every attempt.
+        occupied: the room that it takes.
 
     Raises:
         RecipeError: no attempt meets them; names the rule and the most that was reached.
     """
-    users, in_view, within = value("rules.users"), value("rules.in_view"), value("rules.within_m")
-    most_users = most_seen = 0
-    chosen: tuple[float, list[Placement]] | None = None
-    kept = 0
+    least_users, least_visible = draws.whole("rules.users"), draws.whole("rules.in_view")
+    within_m = draws.number("rules.within_m")
+    most_users = most_visible = 0
+    candidates: list[tuple[float, list[Placement]]] = []
     for attempt in range(TRIES):
-        found = drawn(attempt, taken.copy())
-        every = numbered([*fixed, *found])
+        actors = attempts(attempt, occupied.copy())
+        every = numbered([*fixed, *actors])
         count = sum(rules.model(p.asset).label in rules.USERS for p in every)
         most_users = max(most_users, count)
-        if count < users:
-            continue
-        shares = rules.visible_shares(view, fov, every, road, within_m=within).values()
-        seen = sum(share >= rules.SHARE_SEEN for share in shares)
-        most_seen = max(most_seen, seen)
-        if seen >= in_view:
-            kept += 1
-            score = seen - HIDDEN_COSTS * (len(shares) - seen)
-            if chosen is None or score > chosen[0]:
-                chosen = score, found
-            if kept == CHOICES:
+        if count >= least_users:
+            shares = rules.visible_shares(view, fov_x_deg, every, road, within_m=within_m).values()
+            visible = sum(share >= rules.SHARE_SEEN for share in shares)
+            most_visible = max(most_visible, visible)
+            if visible >= least_visible:
+                candidates.append((visible - HIDDEN_COSTS * (len(shares) - visible), actors))
+            if len(candidates) == CHOICES or (candidates and attempt + 1 >= ENOUGH):
                 break
-        if chosen is not None and attempt + 1 >= ENOUGH:
-            break
-    if chosen is not None:
-        return chosen[1]
-    rule, most = (f"users {users}", most_users) if most_users < users else (f"in_view {in_view}", most_seen)
-    more = [name for name in MORE if name in recipe.distributions]
+    if candidates:
+        return max(candidates, key=lambda candidate: candidate[0])[1]
+    users_lack = most_users < least_users
+    rule, most = (f"users {least_users}", most_users) if users_lack else (f"in_view {least_visible}", most_visible)
+    more = [name for name in MORE if name in draws.recipe.distributions]
     raise RecipeError(
-        f"{recipe.name}: rules.{rule} cannot be met: {TRIES} tries gave at most {most}; "
+        f"{draws.recipe.name}: rules.{rule} cannot be met: {TRIES} tries gave at most {most}; "
         f"ask for less, or raise {', '.join(more[:-1])} or {more[-1]}"
     )

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synfog_usd.base.seeds import stream
-from synfog_usd.world.language import Distribution, Recipe
+from synfog_usd.world.language import Draws, weighted
 from synfog_usd.world.library import LibraryModel, nominal
 from synfog_usd.world.roads import crossing_props, people, rules, traffic
 from synfog_usd.world.roads.crossing import BAY_M, MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, ground_height
@@ -63,7 +62,7 @@ class _Stretch:
         return abs(self.end - self.start)
 
     def lane(self, speed_m_s: Callable[[float], float]) -> traffic.TrafficLane:
-        """As traffic fills it, stations counted from `start`, by which speeds are told."""
+        """The lane as traffic fills it; stations count from `start`, and `speed_m_s` gives the speed at one."""
         way = math.copysign(1.0, self.end - self.start)
 
         def pose(s: float, across: float) -> traffic.Pose:
@@ -71,8 +70,8 @@ class _Stretch:
             x, y = (across, middle) if self.along == "y" else (middle, across)
             return _place(x, y, self.heading)
 
-        def across(rng: np.random.Generator, found: LibraryModel) -> Iterator[float]:
-            near, sway = (0.9, 0.04) if found.name in WIDE else (1.0, 0.1)
+        def across(rng: np.random.Generator, model: LibraryModel) -> Iterator[float]:
+            near, sway = (0.9, 0.04) if model.name in WIDE else (1.0, 0.1)
             yield near * self.across + float(rng.uniform(-sway, sway))
 
         return traffic.TrafficLane(pose, across, speed_m_s=lambda s, length, brakes: speed_m_s(s))
@@ -103,7 +102,7 @@ def _place(x: float, y: float, heading: float) -> traffic.Pose:
     return x, y, ground_height(x, y), heading, 0.0
 
 
-def parked(recipe: Recipe, seed: int, share: float, room: rules.Room) -> list[Placement]:
+def parked(draws: Draws, room: rules.Room) -> list[Placement]:
     """One car to a bay of the markings, on both sides of the main street, from behind the camera to the far end."""
     first = 20.0 + BAY_M / 2
     bays = [*np.arange(-first, -60.0, -BAY_M), *np.arange(first, 238.0, BAY_M)]
@@ -115,44 +114,38 @@ def parked(recipe: Recipe, seed: int, share: float, room: rules.Room) -> list[Pl
         return traffic.Bay(pose, BAY_M)
 
     numbered = [(side, index, y) for side in (-1, 1) for index, y in enumerate(bays)]
-    return traffic.park(
-        recipe,
-        ((bay(side, y), stream(seed, "recipe", "parked", side, index)) for side, index, y in numbered),
-        share,
-        room,
-        CARE,
-    )
+    places = ((bay(side, y), draws.stream("parked", side, index)) for side, index, y in numbered)
+    return traffic.park(draws.recipe, places, draws.number("parked.share"), room, CARE)
 
 
-def driving(recipe: Recipe, seed: int, count: int, waits: bool, speed_m_s: float, room: rules.Room) -> list[Placement]:
-    """So many vehicles in the lanes of the phase; the nearest have their lamps on.
+def driving(draws: Draws, waits: bool, room: rules.Room) -> list[Placement]:
+    """Vehicles in the lanes of the phase; the nearest have their lamps on.
 
     Who comes to a queue brakes to its end, which is where all before stand nose to tail.
     """
     stretches = LANES["waits" if waits else "goes"]
-    choice = Distribution("choice", tuple(range(len(stretches))), tuple(one.weight for one in stretches))
-    rng = stream(seed, "recipe", "traffic", "lanes")
+    rng, speed_m_s = draws.stream("traffic", "lanes"), traffic.speed_m_s(draws)
     bound: list[list[tuple[str, float, dict[str, str]]]] = [[] for _ in stretches]
-    for index in range(count):
-        body, looks = traffic.draw_car(recipe, "traffic", stream(seed, "recipe", "traffic", "car", index))
+    for index in range(draws.whole("traffic.count")):
+        body, looks = traffic.draw_car(draws.recipe, "traffic", draws.stream("traffic", "car", index))
         car = (body, nominal()[body]["length_m"], looks)
         fitting = [
-            n
-            for n, one in enumerate(stretches)
-            if sum(length + GAP_M for _, length, _ in [*bound[n], car]) <= one.length
+            (cars, stretch.weight)
+            for stretch, cars in zip(stretches, bound, strict=True)
+            if sum(length + GAP_M for _, length, _ in [*cars, car]) <= stretch.length
         ]
         if not fitting:
             raise AssertionError("the limit of traffic.count leaves room for as many buses")
-        bound[choice(rng, fitting)].append(car)  # type: ignore[arg-type]
+        weighted(rng, *zip(*fitting, strict=True)).append(car)
     placed: list[Placement] = []
-    for number, (one, cars) in enumerate(zip(stretches, bound, strict=True)):
-        rng = stream(seed, "recipe", "traffic", "lane", number)
-        free = (0.0, one.length - GAP_M) if one.waits else (GAP_M, one.length)
+    for number, (stretch, cars) in enumerate(zip(stretches, bound, strict=True)):
+        rng = draws.stream("traffic", "lane", number)
+        free = (0.0, stretch.length - GAP_M) if stretch.waits else (GAP_M, stretch.length)
         lengths = [length for _, length, _ in cars]
-        stations = traffic.queue(rng, free, lengths, GAP_M, close=QUEUE if one.waits else 0)
+        stations = traffic.queue(rng, free, lengths, GAP_M, close=QUEUE if stretch.waits else 0)
         speeds: dict[float, float] = {}
-        vehicles = _bound(one, cars, stations, speed_m_s, speeds)
-        placed += traffic.fill(one.lane(speeds.__getitem__), vehicles, rng, room)
+        vehicles = _bound(stretch, cars, stations, speed_m_s, speeds)
+        placed += traffic.fill(stretch.lane(speeds.__getitem__), vehicles, rng, room)
     view = crossing_props.VIEW
     near = sorted((p for p in placed if p.y < LIT_Y), key=lambda p: (math.hypot(p.x - view.x, p.y - view.y), p.x))
     return [replace(p, lit={"lamps": "on"}) if p in near[:NEAREST_LIT] else p for p in placed]
@@ -197,24 +190,24 @@ class _Apart:
         return _Apart(list(self.middles))
 
 
-def walking(recipe: Recipe, seed: int, count: int, waits: bool, fixed: Sequence[Placement]) -> list[Placement]:
-    """So many people on the pavements of the main street, and on the zebras of the street that waits."""
+def walking(draws: Draws, waits: bool, fixed: Sequence[Placement]) -> list[Placement]:
+    """People on the pavements of the main street, and on the zebras of the street that waits."""
 
     def places(rng: np.random.Generator, crosses: bool, walks_on: bool) -> people.Places:
         x, y, heading = _on_zebra(rng, waits) if crosses else _on_pavement(rng, walks_on)
         x, y, z, _, _ = _place(x, y, 0.0)
         yield x, y, z, round(float(heading), 1)
 
-    found = people.walking(
-        recipe,
+    walkers = people.walking(
+        draws.recipe,
         people.Footways(places, most=1, tries=TRIES),
-        lambda number: stream(seed, "recipe", "person", number),
+        lambda number: draws.stream("person", number),
         _Apart([(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in fixed]),
-        count=count,
+        count=draws.whole("people.count"),
         crossing_share=CROSSING_SHARE,
         company=0.0,
     )
-    return [replace(p, name=f"Person_{index + 1:02d}") for index, p in enumerate(found)]
+    return [replace(p, name=f"Person_{index + 1:02d}") for index, p in enumerate(walkers)]
 
 
 def _on_zebra(rng: np.random.Generator, waits: bool) -> tuple[float, float, float]:
@@ -238,14 +231,11 @@ def _on_pavement(rng: np.random.Generator, walks_on: bool) -> tuple[float, float
     return x, y, 90.0 - 90.0 * way + rng.normal(0, 4) if walks_on else rng.uniform(0, 360)
 
 
-def cyclist(seed: int) -> list[Placement]:
-    """One ahead of the camera, at the kerb side of its lane: rider and bicycle are models of their own."""
-    rng = stream(seed, "recipe", "cyclist")
-    x, y, heading = (
-        round(float(rng.uniform(2.5, 2.8)), 3),
-        round(float(rng.uniform(-27.0, -18.5)), 3),
-        round(float(rng.normal(0, 1)), 1),
-    )
+def cyclist(draws: Draws) -> list[Placement]:
+    """A cyclist ahead of the camera, at the kerb side of its lane: rider and bicycle are models of their own."""
+    rng = draws.stream("cyclist")
+    x, y = round(float(rng.uniform(2.5, 2.8)), 3), round(float(rng.uniform(-27.0, -18.5)), 3)
+    heading = round(float(rng.normal(0, 1)), 1)
     outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
     return [
         stood("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),

@@ -1,38 +1,31 @@
 """Draws of the crossing: who drives, parks and walks on its streets, and in which light and fog.
 
-Every parameter draws from a stream of its own name, so that changing one leaves
-what the others draw as it was.  Nothing stands in anything else: cars follow each
-other in lanes and stand one to a bay, and people look for a free spot.
+Nothing stands in anything else: cars follow each other in lanes and stand one to a bay,
+and people look for a free spot.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
-from synfog_usd.base.seeds import seed32, stream
+from synfog_usd.base.seeds import seed32
 from synfog_usd.world.authoring import focal_length
-from synfog_usd.world.language import Recipe
-from synfog_usd.world.roads import crossing_actors, crossing_props, rules, traffic
+from synfog_usd.world.language import Draws
+from synfog_usd.world.roads import crossing_actors, crossing_props, rules
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.recipe import plated, posed, signed
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
 
 
-def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
+def draw(draws: Draws) -> WorldSpec:
     """One world of a recipe; the same seed gives the same.
 
     Raises:
         RecipeError: more people than there is room for.
     """
-
-    def value(name: str) -> Any:
-        return recipe.distributions[name](stream(seed, "recipe", name))
-
-    waits = value("traffic.main_street") == "waits"
+    waits = draws.word("traffic.main_street") == "waits"
     room = rules.CollisionSet()
-    cars = crossing_actors.parked(recipe, seed, value("parked.share"), room)
-    cars += crossing_actors.driving(recipe, seed, value("traffic.count"), waits, traffic.speed_m_s(value), room)
+    cars = [*crossing_actors.parked(draws, room), *crossing_actors.driving(draws, waits, room)]
     cars = [replace(car, name=f"{car.asset.title()}_{index + 1:02d}") for index, car in enumerate(cars)]
     fixed = [
         *crossing_props.ground(),
@@ -41,22 +34,23 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
         *crossing_props.trees(),
         *crossing_props.parked_bicycles(),
     ]
-    beside = [p for p in fixed if p.group not in ("Ground", "Buildings")]
-    people = crossing_actors.walking(recipe, seed, value("people.count"), waits, beside)
-    riders = crossing_actors.cyclist(seed) if value("people.cyclists") else []
-    fog = recipe.fog_variants(seed)
-    lens = focal_length(value("camera.fov_x_deg"))
+    on_pavements = [p for p in fixed if p.group not in ("Ground", "Buildings")]
+    people = crossing_actors.walking(draws, waits, on_pavements)
+    riders = crossing_actors.cyclist(draws) if draws.whole("people.cyclists") else []
+    fog = draws.recipe.fog_variants(draws.seed)
+    heading_deg = round(draws.number("sky.heading_deg"), 1)
+    lens_z, lens = round(draws.number("camera.height_m"), 3), focal_length(draws.number("camera.fov_x_deg"))
     return WorldSpec(
-        about=f"{recipe.about.removesuffix('.')}, drawn from {recipe.name} with seed {seed}.",
-        placed=(*signed(fixed, crossing_props.VIEW, seed), *plated(cars, seed), *posed(people, seed), *riders),
-        view=replace(crossing_props.VIEW, z=round(value("camera.height_m"), 3), focal_length=lens),
+        about=f"{draws.recipe.about.removesuffix('.')}, drawn from {draws.recipe.name} with seed {draws.seed}.",
+        placed=(*signed(fixed, crossing_props.VIEW, draws), *plated(cars, draws), *posed(people, draws), *riders),
+        view=replace(crossing_props.VIEW, z=lens_z, focal_length=lens),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],
-        day=_dome(value("sky.day"), "overcast", round(value("sky.overcast_nits"), 1), value("sky.heading_deg")),
-        dusk=_dome(value("sky.dusk"), "dusk", round(value("sky.dusk_nits"), 3), value("sky.heading_deg")),
+        day=_dome(draws.word("sky.day"), "overcast", round(draws.number("sky.overcast_nits"), 1), heading_deg),
+        dusk=_dome(draws.word("sky.dusk"), "dusk", round(draws.number("sky.dusk_nits"), 3), heading_deg),
         road=Crossing(),
-        scatter=seed32(seed, "recipe", "scatter"),
-        origin={"recipe": recipe.name, "seed": str(seed)},
+        scatter=seed32(draws.seed, "recipe", "scatter"),
+        origin={"recipe": draws.recipe.name, "seed": str(draws.seed)},
         built=crossing_props.BUILT,
         products=False,
     )
@@ -64,7 +58,7 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
 
 def _dome(sky: str, relative: str, nits: float, heading_deg: float) -> SkyDome:
     """The crossing's own sky, with its luminance at the zenith, or one of `skies`, which has its own."""
-    return SkyDome(sky, nits) if sky == relative else SkyDome(sky, 1.0, round(heading_deg, 1))
+    return SkyDome(sky, nits) if sky == relative else SkyDome(sky, 1.0, heading_deg)
 
 
 def _furniture(waits: bool) -> list[Placement]:

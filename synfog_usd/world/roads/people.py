@@ -80,17 +80,16 @@ def walking(
         rng = numbers(number)
         number += 1
         crosses = bool(walkers) and footways.zebras and rng.random() < crossing_share
-        names = [kinds(rng, walkers if crosses else None)]
+        names = [kinds.word(rng, walkers if crosses else None)]
         if footways.most > 1 and names[0] in COMPANY and rng.random() < company:
-            others = 2 if footways.most > 2 and rng.random() < A_THIRD else 1
-            names += [kinds(rng, friends) for _ in range(min(others, count - len(placed) - 1))]
+            company_of = 2 if footways.most > 2 and rng.random() < A_THIRD else 1
+            names += [kinds.word(rng, friends) for _ in range(min(company_of, count - len(placed) - 1))]
         looks = None if footways.redressed else [look(rng, rules.model(name)) for name in names]
         for attempt in range(footways.tries):
             group = names if attempt < footways.tries // 2 else names[:1]
             places = footways.places(rng, crosses, names[0] in WALKERS)
-            found = _together(rng, group, looks, places, room)
-            if found:
-                placed += found
+            if together := _together(rng, group, looks, places, room):
+                placed += together
                 break
         else:
             raise RecipeError(
@@ -107,7 +106,7 @@ def _together(
     room: rules.Room,
 ) -> list[Placement]:
     """A group at its places; nobody where one of them has no room."""
-    found: list[Placement] = []
+    group: list[Placement] = []
     trial = room.copy() if len(names) > 1 else room
     for index, (name, place) in enumerate(zip(names, places, strict=False)):
         worn = look(rng, rules.model(name)) if looks is None else dict(looks[index])
@@ -115,10 +114,10 @@ def _together(
             return []
         x, y, z, heading = place
         p = Placement("People", "", name, x, y, heading, worn, z=z)
-        if not trial.take(p, ABREAST_M if found else APART_M):
+        if not trial.take(p, ABREAST_M if group else APART_M):
             return []
-        found.append(p)
+        group.append(p)
     if trial is not room:
-        for p in found:
+        for p in group:
             room.add(p)
-    return found
+    return group

@@ -23,14 +23,14 @@ WALL_M, APART_M = 0.02, 0.1
 UNDRAWN = ("lamps", "signal", "lod", "driver", "plate", "shops")
 
 
-def look(rng: np.random.Generator, found: LibraryModel) -> dict[str, str]:
+def look(rng: np.random.Generator, model: LibraryModel) -> dict[str, str]:
     """A choice of each variant set but those of lamps, signals, detail and drivers, whom traffic has; and not which of
     a kind of people it is, which is drawn last of all.
     """
     return {
         name: choices[int(rng.integers(len(choices)))]
-        for name, choices in sorted(found.variants.items())
-        if name not in UNDRAWN and not (name == "individual" and found.group == "person")
+        for name, choices in sorted(model.variants.items())
+        if name not in UNDRAWN and not (name == "individual" and model.group == "person")
     }
 
 
@@ -67,14 +67,14 @@ class Front:
         end: where the row ends [m].
         start: where it begins [m], or None: somewhere within its first step.
         joint: room between things that stand end to end [m].
-        drawn: in which order the numbers of a thing are drawn, so that a seed draws the same for ever.
+        order: in which the numbers of a thing are drawn, so that a seed draws the same for ever.
     """
 
     places: Places
     end: float
     start: float | None = None
     joint: float = APART_M
-    drawn: tuple[str, ...] = ("any_way", "looks", "out")
+    order: tuple[str, ...] = ("any_way", "looks", "out")
 
 
 def row(
@@ -82,33 +82,38 @@ def row(
 ) -> list[Placement]:
     """Things one after the other, each a step or its own length and a gap on; what has no room is left out."""
     draw: Mapping[str, Callable[[LibraryModel], Any]] = {
-        "out": lambda found: float(distributions["out_m"](rng)),
-        "any_way": lambda found: float(rng.uniform(0, 360)),
-        "looks": lambda found: look(rng, found),
+        "out": lambda model: float(distributions["out_m"].number(rng)),
+        "any_way": lambda model: float(rng.uniform(0, 360)),
+        "looks": lambda model: look(rng, model),
     }
     placed: list[Placement] = []
     s = front.start
     while s is None or s < front.end:
-        asset, turned = distributions["models"](rng), distributions["turn"](rng)
-        found, size = rules.model(asset), round(float(distributions["size"](rng)), 3)
-        extent = (found.width if turned in ("road", "back") else found.length) * size
-        step, gap = distributions["step_m"](rng), float(distributions["gap_m"](rng))
+        asset, turned = distributions["models"].word(rng), distributions["turn"].word(rng)
+        model, size = rules.model(asset), round(float(distributions["size"].number(rng)), 3)
+        extent = (model.width if turned in ("road", "back") else model.length) * size
+        step, gap = optional(distributions["step_m"], rng), float(distributions["gap_m"].number(rng))
         if s is None:
             s = float(rng.random()) * (step or extent)
         middle = s if step is not None else s + extent / 2
-        s += float(step) if step is not None else extent + gap
-        there = rng.random() < distributions["share"](rng)
-        drawn = {name: draw[name](found) for name in front.drawn}
+        s += step if step is not None else extent + gap
+        there = rng.random() < distributions["share"].number(rng)
+        numbers = {name: draw[name](model) for name in front.order}
         if not there:
             continue
-        margin = WALL_M if found.group == "building" else APART_M if step is not None else front.joint
+        margin = WALL_M if model.group == "building" else APART_M if step is not None else front.joint
         tried = [middle + NUDGE_M * nudge for nudge in range(NUDGES if step is None else 1)]
-        for at, p in front.places(Prop(asset, size, turned, **drawn), tried):
+        for at, p in front.places(Prop(asset, size, turned, **numbers), tried):
             if room.take(p, margin):
                 placed.append(p)
                 s += at - middle if step is None else 0.0
                 break
     return placed
+
+
+def optional(distribution: Distribution, rng: np.random.Generator) -> float | None:
+    """A number, or None where the row does without."""
+    return None if distribution.values[0] is None else float(distribution.number(rng))
 
 
 def stood(

@@ -1,10 +1,8 @@
 """Draws of roads.
 
 A recipe gives the reference line, the lane section, rows of things along it, traffic,
-people, sky and camera.  Every parameter draws from a stream of its own name; what
-stands where obeys the rules of `rules`, and a draw that cannot is tried again a
-bounded number of times before the rule is named.  What a recipe can say stands in
-`world.parameters`.
+people, sky and camera.  What stands where obeys the rules of `rules`; a draw that cannot is
+tried again, so often, before the rule is named.  What a recipe can say stands in `world.parameters`.
 """
 
 from __future__ import annotations
@@ -17,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.base.seeds import seed32, stream
+from synfog_usd.base.seeds import seed32
 from synfog_usd.world.authoring import focal_length
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Draws
 from synfog_usd.world.library import nominal
 from synfog_usd.world.roads import actors, road_actors, road_props, rules, works
 from synfog_usd.world.roads.asphalt import Asphalt
@@ -47,39 +45,34 @@ of nuScenes (Caesar et al. 2020).
 """
 
 
-def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
+def draw(draws: Draws) -> WorldSpec:
     """One world of a recipe; the same seed gives the same.
 
     Raises:
         RecipeError: a rule cannot be met; says which.
     """
-    hour = float(recipe.distributions["traffic.hour"](stream(seed, "recipe", "traffic.hour")))
-
-    def value(name: str) -> Any:
-        return recipe.distributions[name](stream(seed, "recipe", name), hour=hour)
-
-    station = round(value("camera.station_m"), 2)
-    road, built = _road(recipe, seed, station, value)
+    station = round(draws.number("camera.station_m"), 2)
+    road, built = _road(draws, station)
     if station + 60.0 > road.reference_line.length:
         raise RecipeError(
-            f"{recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's "
+            f"{draws.recipe.name}: camera.station_m {station:g} leaves less than 60 m of the road's "
             f"{road.reference_line.length:g} m ahead"
         )
-    own = _own_lane(recipe, road, value("camera.lane"))
-    fov = value("camera.fov_x_deg")
-    view = _view(road, own, station, value("camera.height_m"), fov)
-    taken = rules.CollisionSet()
-    digging, workers = works.site(road, seed, station, value, taken)
-    beside = road_props.rows(recipe, road, seed, station, taken)
-    fixed = [*workers, *road_props.unhidden(road, beside, built["gantries"])]
-    fixed += road_actors.parked(recipe, road, seed, station, value("parked.share"), taken)
+    ego_lane = _ego_lane(draws, road)
+    fov_x_deg = draws.number("camera.fov_x_deg")
+    view = _view(road, ego_lane, station, draws.number("camera.height_m"), fov_x_deg)
+    occupied = rules.CollisionSet()
+    digging, workers = works.site(road, draws, station, occupied)
+    rows = road_props.rows(draws, road, station, occupied)
+    fixed = [*workers, *road_props.unhidden(road, rows, built["gantries"])]
+    fixed += road_actors.parked(draws, road, station, occupied)
 
-    def drawn(attempt: int, room: rules.CollisionSet) -> list[Placement]:
-        return road_actors.drawn(recipe, road, seed, attempt, own, station, value, room)
+    def attempt_of(attempt: int, room: rules.CollisionSet) -> list[Placement]:
+        return road_actors.moving(draws, road, attempt, ego_lane, station, room)
 
-    moving = actors.in_sight(recipe, drawn, road, value, view, fov, fixed, taken)
-    laid = _laid(road, round(value("road.crossfall"), 4), view, [*fixed, *moving])
-    return assembled(recipe, seed, value, *laid, {**built, "station": station, "works": digging})
+    moving = actors.in_sight(draws, attempt_of, road, view, fov_x_deg, fixed, occupied)
+    laid = _laid(road, round(draws.number("road.crossfall"), 4), view, [*fixed, *moving])
+    return assembled(draws, *laid, {**built, "station": station, "works": digging})
 
 
 def _laid(level: Road, crossfall: float, view: View, placed: Sequence[Placement]) -> tuple[Road, View, list[Placement]]:
@@ -104,46 +97,41 @@ def _laid(level: Road, crossfall: float, view: View, placed: Sequence[Placement]
 
 
 def assembled(
-    recipe: Recipe,
-    seed: int,
-    value: Any,
-    road: Road,
-    view: View,
-    placements: Sequence[Placement],
-    built: Mapping[str, Any],
+    draws: Draws, road: Road, view: View, placements: Sequence[Placement], built: Mapping[str, Any]
 ) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
-    heading = round(value("sky.heading_deg"), 1)
-    placed = posed(plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), seed), seed)
-    placed = signed(placed, view, seed)
-    fogs = recipe.fog_variants(seed)
+    heading, gain = round(draws.number("sky.heading_deg"), 1), round(draws.number("sky.gain"), 3)
+    placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), draws)
+    placed = signed(posed(placed, draws), view, draws)
+    day = draws.word("sky.day")
+    fogs = draws.recipe.fog_variants(draws.seed)
     return WorldSpec(
-        about=f"{recipe.about} Drawn from {recipe.name} with seed {seed}.",
+        about=f"{draws.recipe.about} Drawn from {draws.recipe.name} with seed {draws.seed}.",
         placed=tuple(placed),
         view=view,
         fog=fogs,
         fog_selected=list(fogs)[len(fogs) // 2],
-        day=SkyDome(value("sky.day"), round(value("sky.gain"), 3), heading),
-        dusk=SkyDome(value("sky.dusk"), round(value("sky.gain"), 3), heading),
-        scatter=seed32(seed, "recipe", "scatter"),
-        origin={"recipe": recipe.name, "seed": str(seed)},
+        day=SkyDome(day, gain, heading),
+        dusk=SkyDome(draws.word("sky.dusk"), gain, heading),
+        scatter=seed32(draws.seed, "recipe", "scatter"),
+        origin={"recipe": draws.recipe.name, "seed": str(draws.seed)},
         road=road,
-        rig=_rig(value("camera.rig"), round(value("camera.baseline_m"), 4), view),
+        rig=_rig(draws.word("camera.rig"), round(draws.number("camera.baseline_m"), 4), view),
         built={
             **built,
-            "trees": value("land.trees"),
-            "trees_from_m": value("land.trees_from_m"),
-            "grass": value("land.grass"),
-            "horizon": value("land.horizon"),
-            "headlights": value("camera.headlights"),
-            "asphalt": Asphalt(value("road.asphalt"), "wet" if value("sky.day") == "rain" else value("road.wet")),
+            "trees": draws.whole("land.trees"),
+            "trees_from_m": draws.number("land.trees_from_m"),
+            "grass": draws.word("land.grass"),
+            "horizon": draws.word("land.horizon"),
+            "headlights": draws.word("camera.headlights"),
+            "asphalt": Asphalt(draws.word("road.asphalt"), "wet" if day == "rain" else draws.word("road.wet")),
         },
     )
 
 
-def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
+def plated(placed: Sequence[Placement], draws: Draws) -> list[Placement]:
     """With a number plate for each vehicle that has one."""
-    rng = stream(seed, "recipe", "plates")
+    rng = draws.stream("plates")
     result = []
     for p in placed:
         choices = rules.model(p.asset).variants.get("plate", ())
@@ -153,45 +141,45 @@ def plated(placed: Sequence[Placement], seed: int) -> list[Placement]:
     return result
 
 
-def signed(placed: Sequence[Placement], view: View, seed: int) -> list[Placement]:
+def signed(placed: Sequence[Placement], view: View, draws: Draws) -> list[Placement]:
     """With names over the shops of each house that has some: no name twice while there are others, beginning with the
     house nearest the camera.
     """
-    rng = stream(seed, "recipe", "shops")
-    taken: set[tuple[str, int]] = set()
+    rng = draws.stream("shops")
+    shown: set[tuple[str, int]] = set()
     result = list(placed)
     for p in sorted(placed, key=lambda p: math.hypot(p.x - view.x, p.y - view.y)):
         choices = rules.model(p.asset).variants.get("shops", ())
         if choices:
             rows = nominal().get(p.asset, {}).get("shops", ())
             order = [choices[i] for i in rng.permutation(len(choices))]
-            unused = [one for one in order if taken.isdisjoint((one, row) for row in rows)]
+            unused = [names for names in order if shown.isdisjoint((names, row) for row in rows)]
             chosen = (unused or order)[0]
-            taken.update((chosen, row) for row in rows)
+            shown.update((chosen, row) for row in rows)
             result[placed.index(p)] = replace(p, variants={**p.variants, "shops": chosen})
     return result
 
 
-def posed(placed: Sequence[Placement], seed: int) -> list[Placement]:
+def posed(placed: Sequence[Placement], draws: Draws) -> list[Placement]:
     """With one of several individuals for each person: no two of a kind who come one after the other are the same.  Of
     those who stand within `TOGETHER_M` no two are at one moment of the step while there are others, and no two of a
     kind wear the same.
     """
-    rng = stream(seed, "recipe", "individuals")
+    rng = draws.stream("individuals")
     result: list[Placement] = []
     people: list[Placement] = []
     last: dict[str, str] = {}
     for p in placed:
-        found = rules.model(p.asset)
-        choices = found.variants.get("individual", ()) if found.group == "person" else ()
+        model = rules.model(p.asset)
+        choices = model.variants.get("individual", ()) if model.group == "person" else ()
         if choices:
             near = [q for q in people if math.hypot(p.x - q.x, p.y - q.y) < TOGETHER_M]
-            others = _but([one for one in choices if one != last.get(p.asset)], near, "individual")
-            last[p.asset] = others[int(rng.integers(len(others)))]
+            free = _unlike([name for name in choices if name != last.get(p.asset)], near, "individual")
+            last[p.asset] = free[int(rng.integers(len(free)))]
             worn = {**p.variants, "individual": last[p.asset]}
             twins = [q for q in near if q.asset == p.asset]
             if "outfit" in worn and any(q.variants["outfit"] == worn["outfit"] for q in twins):
-                clothes = _but(found.variants["outfit"], twins, "outfit")
+                clothes = _unlike(model.variants["outfit"], twins, "outfit")
                 worn["outfit"] = clothes[int(rng.integers(len(clothes)))]
             p = replace(p, variants=worn)
             people.append(p)
@@ -199,9 +187,9 @@ def posed(placed: Sequence[Placement], seed: int) -> list[Placement]:
     return result
 
 
-def _but(choices: Sequence[str], taken: Sequence[Placement], variant_set: str) -> Sequence[str]:
+def _unlike(choices: Sequence[str], placed: Sequence[Placement], variant_set: str) -> Sequence[str]:
     """Choices that none of some placements has; all of them where nothing would be left."""
-    return [one for one in choices if all(q.variants[variant_set] != one for q in taken)] or choices
+    return [name for name in choices if all(q.variants[variant_set] != name for q in placed)] or choices
 
 
 def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:
@@ -213,76 +201,79 @@ def _rig(kind: str, baseline_m: float, view: View) -> tuple[RigCamera, ...]:
     return ()
 
 
-def _road(recipe: Recipe, seed: int, station: float, value: Any) -> tuple[Road, dict[str, Any]]:
-    length = round(value("road.length_m"), 1)
+def _road(draws: Draws, station: float) -> tuple[Road, dict[str, Any]]:
+    """The road, and what is built at it."""
+    length = round(draws.number("road.length_m"), 1)
+    widths = tuple(
+        (kind, round(float(width.number(draws.stream("section", i))), 3), way)
+        for i, (kind, width, way) in enumerate(draws.recipe.lanes)
+    )
+    gantries: list[float] = []
+    first_gantry = draws.optional("rails.gantry_ahead_m")
+    if first_gantry is not None:
+        first = station + first_gantry
+        gantries = [round(s, 2) for s in (first, first + 160.0) if s < length - 20.0]
+    zebras, at = [], station
+    for i in range(draws.whole("road.zebras")):
+        at += float(draws.number("road.zebra_ahead_m", i))
+        zebras.append(round(at, 2))
+    road = Road(
+        _reference_line(draws, station, length),
+        LaneSection.from_widths(widths),
+        _land(draws, station, length),
+        tuple(s for s in zebras if s < length - 10.0),
+        draws.word("road.centre"),
+        (draws.number("road.dash_m"), draws.number("road.dash_gap_m")),
+    )
+    rails, delineators = draws.word("rails.where"), draws.word("rails.delineators")
+    return road, {"rails": rails, "delineators": delineators, "gantries": gantries}
+
+
+def _reference_line(draws: Draws, station: float, length: float) -> ReferenceLine:
+    """Bends, of which the first lies ahead of the camera, and slopes, which begin before it."""
     pieces = []
     for i in range(40):
-        parts = [
-            recipe.distributions[f"road.{key}"](stream(seed, "recipe", f"road.{key}", i))
-            for key in ("straight_m", "radius_m", "turn_deg")
-        ]
-        pieces.append((float(parts[0]), float(parts[1]), float(parts[2])))
+        straight, radius, turn = (
+            float(draws.number(f"road.{key}", i)) for key in ("straight_m", "radius_m", "turn_deg")
+        )
+        pieces.append((straight, radius, turn))
     pieces[0] = (pieces[0][0] + station * 0.6, *pieces[0][1:])
     slopes = [(0.0, 0.0), (0.75 * station, 0.0)]
-    every, i = value("road.slope_every_m"), 0
+    every = draws.number("road.slope_every_m")
     while slopes[-1][0] < length:
-        slopes.append(
-            (
-                round(slopes[-1][0] + every, 3),
-                round(float(recipe.distributions["road.slope"](stream(seed, "recipe", "road.slope", i))), 6),
-            )
-        )
-        i += 1
+        slope = round(float(draws.number("road.slope", len(slopes) - 2)), 6)
+        slopes.append((round(slopes[-1][0] + every, 3), slope))
     flat = all(grade == 0.0 for _, grade in slopes)
-    line = ReferenceLine(length, bends(pieces, length=length), ((0.0, 0.0),) if flat else tuple(slopes))
-    widths = tuple(
-        (kind, round(float(w(stream(seed, "recipe", "section", i))), 3), way)
-        for i, (kind, w, way) in enumerate(recipe.lanes)
-    )
-    built: dict[str, Any] = {"rails": value("rails.where"), "delineators": value("rails.delineators"), "gantries": []}
+    return ReferenceLine(length, bends(pieces, length=length), ((0.0, 0.0),) if flat else tuple(slopes))
+
+
+def _land(draws: Draws, station: float, length: float) -> Land:
+    """Hills, ditches, and the valley or hill that a bridge or tunnel needs."""
     valley = hill = None
-    if value("bridge.length_m"):
-        begin = station + value("bridge.ahead_m")
-        valley = (
-            round(begin, 2),
-            round(min(begin + value("bridge.length_m"), length - 10.0), 2),
-            round(value("bridge.depth_m"), 2),
-        )
-    if value("tunnel.ahead_m") is not None:
-        hill = (round(station + value("tunnel.ahead_m"), 2), round(value("tunnel.height_m"), 2))
-    if value("rails.gantry_ahead_m") is not None:
-        first = station + value("rails.gantry_ahead_m")
-        built["gantries"] = [round(s, 2) for s in (first, first + 160.0) if s < length - 20.0]
-    zebras, at = [], station
-    for i in range(value("road.zebras")):
-        at += float(recipe.distributions["road.zebra_ahead_m"](stream(seed, "recipe", "road.zebra_ahead_m", i)))
-        zebras.append(round(at, 2))
-    land = Land(
-        round(value("land.hills_m"), 2), seed32(seed, "recipe", "land"), valley, hill, round(value("road.ditch_m"), 3)
-    )
-    dash = (value("road.dash_m"), value("road.dash_gap_m"))
-    return Road(
-        line,
-        LaneSection.from_widths(widths),
-        land,
-        tuple(s for s in zebras if s < length - 10.0),
-        value("road.centre"),
-        dash,
-    ), built
+    if draws.number("bridge.length_m"):
+        begin = station + draws.number("bridge.ahead_m")
+        end = min(begin + draws.number("bridge.length_m"), length - 10.0)
+        valley = (round(begin, 2), round(end, 2), round(draws.number("bridge.depth_m"), 2))
+    portal = draws.optional("tunnel.ahead_m")
+    if portal is not None:
+        hill = (round(station + portal, 2), round(draws.number("tunnel.height_m"), 2))
+    seed, ditch_m = seed32(draws.seed, "recipe", "land"), round(draws.number("road.ditch_m"), 3)
+    return Land(round(draws.number("land.hills_m"), 2), seed, valley, hill, ditch_m)
 
 
-def _own_lane(recipe: Recipe, road: Road, number: int) -> Lane:
+def _ego_lane(draws: Draws, road: Road) -> Lane:
+    number = draws.whole("camera.lane")
     lanes = [lane for lane in road.driving_lanes if lane.way > 0 and lane.kind == "lane"]
     if number >= len(lanes):
         raise RecipeError(
-            f"{recipe.name}: camera.lane {number}: the road has {len(lanes)} lanes that go its way; lanes count from 0 "
-            f"at the right"
+            f"{draws.recipe.name}: camera.lane {number}: the road has {len(lanes)} lanes that go its way; lanes count "
+            f"from 0 at the right"
         )
     return lanes[-1 - number]
 
 
-def _view(road: Road, own: Lane, station: float, height_m: float, fov_x_deg: float) -> View:
-    t = own.middle - 0.15
+def _view(road: Road, lane: Lane, station: float, height_m: float, fov_x_deg: float) -> View:
+    t = lane.middle - 0.15
     x, y = road.reference_line.place(station, t)
     heading = math.degrees(float(road.reference_line.heading(station)))
     pitch = math.degrees(math.atan(float(road.reference_line.grade(station))))
@@ -310,12 +301,8 @@ def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:
     for p in placed:
         choices = rules.model(p.asset).variants.get("lamps", ())
         if (rules.model(p.asset).group == "lamp" or p.lit) and choices:
-            state = (
-                ("brake" if p.lit.get("lamps") == "brake" else "on")
-                if id(p) in near or "glow" not in choices
-                else "glow"
-            )
-            p = replace(p, lit={"lamps": state})
+            state = "brake" if p.lit.get("lamps") == "brake" else "on"
+            p = replace(p, lit={"lamps": state if id(p) in near or "glow" not in choices else "glow"})
         elif p.lit:
             p = replace(p, lit={})
         result.append(p)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.base.seeds import stream
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import RAISED, Lane
 from synfog_usd.world.roads.markings import BAY_M, bay_length, bays, zebra_span
@@ -28,8 +26,8 @@ drawn.
 """
 
 
-def drawn(
-    recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet
+def moving(
+    draws: Draws, road: Road, attempt: int, ego_lane: Lane, station: float, room: rules.CollisionSet
 ) -> list[Placement]:
     """Traffic and people of an attempt.
 
@@ -37,38 +35,39 @@ def drawn(
         RecipeError: there is no room for so many people.
     """
     return [
-        *_traffic(recipe, road, seed, attempt, own, station, value, room),
-        *_people(recipe, road, seed, attempt, station, value, room),
+        *_traffic(draws, road, attempt, ego_lane, station, room),
+        *_people(draws, road, attempt, station, room),
     ]
 
 
 def _traffic(
-    recipe: Recipe, road: Road, seed: int, attempt: int, own: Lane, station: float, value: Any, room: rules.CollisionSet
+    draws: Draws, road: Road, attempt: int, ego_lane: Lane, station: float, room: rules.CollisionSet
 ) -> list[Placement]:
     """Vehicles in their lanes: as many as the flow at that hour, no nearer to each other than they can stop."""
-    least, density = traffic.flow(value, attempt)
+    least, density = traffic.flow(draws, attempt)
     low, high = max(station - BEHIND_M, 4.0), min(station + AHEAD_M, road.reference_line.length - 4.0)
-    total = value("traffic.count")
+    total = draws.optional("traffic.count")
     lanes = road.driving_lanes
     if total is None:
         counts = [
-            int(stream(seed, "recipe", "traffic", attempt, "number", index).poisson(density * (high - low)))
+            int(draws.stream("traffic", attempt, "number", index).poisson(density * (high - low)))
             for index in range(len(lanes))
         ]
     else:
-        chosen = stream(seed, "recipe", "traffic", attempt, "number").choice(range(len(lanes)), total)
+        chosen = draws.stream("traffic", attempt, "number").choice(range(len(lanes)), int(total))
         counts = [int((chosen == index).sum()) for index in range(len(lanes))]
     behind, before = traffic.OWN_CAR_M
+    speed = traffic.speed_m_s(draws)
     placed: list[Placement] = []
     for index, lane in enumerate(lanes):
-        rng = stream(seed, "recipe", "traffic", attempt, "lane", index)
-        blocked = [(station - behind - least, station + before + max(least, 4.0))] if lane is own else []
+        rng = draws.stream("traffic", attempt, "lane", index)
+        blocked = [(station - behind - least, station + before + max(least, 4.0))] if lane is ego_lane else []
         free = traffic.spans(road, low, high, blocked)
         among = [name for name in ON_A_BUS_LANE if name in rules.names()] if lane.kind == "bus" else None
-        vehicles = traffic.flowing(recipe, rng, free, counts[index], least, among)
-        placed += traffic.fill(_lane(road, lane, traffic.speed_m_s(value)), vehicles, rng, room)
-    for number in range(value("traffic.cyclists")):
-        placed += _cyclist(road, stream(seed, "recipe", "cyclist", attempt, number), station, room)
+        vehicles = traffic.flowing(draws.recipe, rng, free, counts[index], least, among)
+        placed += traffic.fill(_lane(road, lane, speed), vehicles, rng, room)
+    for number in range(draws.whole("traffic.cyclists")):
+        placed += _cyclist(road, draws.stream("cyclist", attempt, number), station, room)
     return placed
 
 
@@ -110,17 +109,11 @@ def _cyclist(road: Road, rng: np.random.Generator, station: float, room: rules.C
     return traffic.cyclist(rng, place, room)
 
 
-def parked(
-    recipe: Recipe, road: Road, seed: int, station: float, share: float, taken: rules.CollisionSet
-) -> list[Placement]:
+def parked(draws: Draws, road: Road, station: float, occupied: rules.CollisionSet) -> list[Placement]:
     """One car to a bay, looking the way of the lane beside."""
     numbered = enumerate(bays(road))
-    return traffic.park(
-        recipe,
-        ((_bay(road, lane, middle, station), stream(seed, "recipe", "parked", i)) for i, (lane, middle) in numbered),
-        share,
-        taken,
-    )
+    places = ((_bay(road, lane, middle, station), draws.stream("parked", i)) for i, (lane, middle) in numbered)
+    return traffic.park(draws.recipe, places, draws.number("parked.share"), occupied)
 
 
 def _bay(road: Road, lane: Lane, middle: float, station: float) -> traffic.Bay:
@@ -135,14 +128,12 @@ def _bay(road: Road, lane: Lane, middle: float, station: float) -> traffic.Bay:
     return traffic.Bay(pose, lane.width - 0.15 if crosswise else BAY_M - 0.3, crosswise)
 
 
-def _people(
-    recipe: Recipe, road: Road, seed: int, attempt: int, station: float, value: Any, room: rules.CollisionSet
-) -> list[Placement]:
+def _people(draws: Draws, road: Road, attempt: int, station: float, room: rules.CollisionSet) -> list[Placement]:
     """On pavements, denser near the camera, and on zebra crossings."""
-    count = value("people.count")
+    count = draws.whole("people.count")
     walks = list(road.lane_section.of("pavement"))
     if count and not walks:
-        raise RecipeError(f"{recipe.name}: people.count {count}: the lane section has no pavement for them")
+        raise RecipeError(f"{draws.recipe.name}: people.count {count}: the lane section has no pavement for them")
 
     def places(rng: np.random.Generator, crosses: bool, walks_on: bool) -> people.Places:
         if crosses:
@@ -150,13 +141,13 @@ def _people(
         return _on_pavement(road, rng, station, walks, walks_on)
 
     return people.walking(
-        recipe,
+        draws.recipe,
         people.Footways(places, zebras=bool(road.zebras)),
-        lambda number: stream(seed, "recipe", "person", attempt, number),
+        lambda number: draws.stream("person", attempt, number),
         room,
         count=count,
-        crossing_share=value("people.crossing_share"),
-        company=value("people.company"),
+        crossing_share=draws.number("people.crossing_share"),
+        company=draws.number("people.company"),
     )
 
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from synfog_usd.base.seeds import stream
-from synfog_usd.world.language import Recipe, Row
+from synfog_usd.world.language import Draws, Row
 from synfog_usd.world.roads import props, rules
 from synfog_usd.world.roads.lane_section import PAVED
 from synfog_usd.world.roads.network import Road
@@ -22,28 +21,28 @@ DUG_IN_M = 1.5
 """Nobody builds where a house would stand deeper in the slope."""
 BOARD_M, BOARD_READ_M = 4.0, 110.0
 """A sign higher than this is a board that is read from so far, and no tree stands between."""
-DRAWN = ("out", "any_way", "looks")
+ORDER = ("out", "any_way", "looks")
 
 
-def rows(recipe: Recipe, road: Road, seed: int, station: float, taken: rules.CollisionSet) -> list[Placement]:
+def rows(draws: Draws, road: Road, station: float, occupied: rules.CollisionSet) -> list[Placement]:
     """Rows in their order, on the sides that they name."""
     placed: list[Placement] = []
     length = road.reference_line.length
-    for number, row in enumerate(recipe.rows):
-        side = row.distributions["side"](stream(seed, "recipe", "rows", number, "side"))
+    for number, row in enumerate(draws.recipe.rows):
+        side = row.distributions["side"].word(draws.stream("rows", number, "side"))
         for sign in {"left": (-1,), "right": (1,)}.get(side, (-1, 1)):
-            rng = stream(seed, "recipe", "rows", number, sign)
-            step = row.distributions["step_m"](rng)
-            start = float(row.distributions["start_m"](rng)) + station
+            rng = draws.stream("rows", number, sign)
+            step = props.optional(row.distributions["step_m"], rng)
+            start = float(row.distributions["start_m"].number(rng)) + station
             if side == "alternate" and sign > 0 and step:
                 start += step / 2
-            end = row.distributions["end_m"](rng)
-            end = length if end is None else min(float(end) + station, length)
-            if row.distributions["at"](rng) == "zebras":
-                placed += _at_zebras(road, row, rng, sign, taken)
+            end_m = props.optional(row.distributions["end_m"], rng)
+            end = length if end_m is None else min(end_m + station, length)
+            if row.distributions["at"].word(rng) == "zebras":
+                placed += _at_zebras(road, row, rng, sign, occupied)
                 continue
-            front = props.Front(_places(road, row, rng, sign), end, start, JOINT_M, DRAWN)
-            placed += props.row(row.distributions, front, rng, taken)
+            front = props.Front(_places(road, row, rng, sign), end, start, JOINT_M, ORDER)
+            placed += props.row(row.distributions, front, rng, occupied)
     return placed
 
 
@@ -53,10 +52,10 @@ def unhidden(road: Road, placed: Sequence[Placement], gantries: Sequence[float])
     """
     boards = [(s, lane.middle, lane.width / 2, 1) for s in gantries for lane in road.driving_lanes if lane.way > 0]
     for p in placed:
-        found = rules.model(p.asset)
-        if found.group == "sign" and found.height * p.size > BOARD_M:
+        model = rules.model(p.asset)
+        if model.group == "sign" and model.height * p.size > BOARD_M:
             s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
-            boards.append((s, t, found.width * p.size / 2, 1 if t > 0 else -1))
+            boards.append((s, t, model.width * p.size / 2, 1 if t > 0 else -1))
     hidden = np.zeros(len(placed), dtype=bool)
     trees = [rules.model(p.asset) if rules.model(p.asset).group == "plant" else None for p in placed]
     middles = np.array([(p.x, p.y) for p in placed]).reshape(-1, 2)
@@ -82,7 +81,7 @@ def _places(road: Road, row: Row, rng: np.random.Generator, sign: int) -> props.
     def places(prop: props.Prop, stations: Sequence[float]) -> Iterator[tuple[float, Placement]]:
         if not 0.0 <= stations[0] <= road.reference_line.length:
             return
-        t = _counted_from(road, row.distributions["from"](rng), sign) + sign * prop.out
+        t = _counted_from(road, row.distributions["from"].word(rng), sign) + sign * prop.out
         angle = _turn(prop.turned, sign, prop.any_way)
         for s in stations:
             p = _stood(road, prop.asset, s, t, angle, prop.looks, prop.size)
@@ -92,28 +91,31 @@ def _places(road: Road, row: Row, rng: np.random.Generator, sign: int) -> props.
     return places
 
 
-def _at_zebras(road: Road, row: Row, rng: np.random.Generator, sign: int, taken: rules.CollisionSet) -> list[Placement]:
+def _at_zebras(
+    road: Road, row: Row, rng: np.random.Generator, sign: int, occupied: rules.CollisionSet
+) -> list[Placement]:
     """A thing beside each zebra, where the traffic of that side comes to it."""
     placed = []
     for zebra in road.zebras:
-        asset = row.distributions["models"](rng)
-        t = _counted_from(road, row.distributions["from"](rng), sign) + sign * float(row.distributions["out_m"](rng))
+        asset = row.distributions["models"].word(rng)
+        base = _counted_from(road, row.distributions["from"].word(rng), sign)
+        t = base + sign * float(row.distributions["out_m"].number(rng))
         looks = props.look(rng, rules.model(asset))
-        angle = _turn(row.distributions["turn"](rng), sign, 0.0)
+        angle = _turn(row.distributions["turn"].word(rng), sign, 0.0)
         p = _stood(road, asset, zebra - sign * BESIDE_ZEBRA_M, t, angle, looks, 1.0, at_zebra=True)
-        if p is not None and taken.take(p):
+        if p is not None and occupied.take(p):
             placed.append(p)
     return placed
 
 
-def _turn(name: str, sign: int, other: float) -> float:
+def _turn(name: str, sign: int, any_way: float) -> float:
     """Degrees from the road's direction at which a thing stands on one side of it."""
     return {
         "road": 90.0 * sign,
         "back": -90.0 * sign,
         "traffic": 180.0 if sign > 0 else 0.0,
         "along": 0.0 if sign > 0 else 180.0,
-    }.get(name, other)
+    }.get(name, any_way)
 
 
 def _stood(

@@ -392,70 +392,89 @@ class Roundabout(Road):
         return LAND_M + share * (self.hills(x, y) - LAND_M)
 
 
-def roundabout(
-    lines: Sequence[ReferenceLine],
-    *,
-    radius: float,
-    ring_m: float,
-    apron: float,
-    mound: float,
-    lane_m: float,
-    half_island: float,
-    pavement: float,
-    zebra_m: float,
-    corner_m: float,
-    land: Land,
-) -> Roundabout:
-    """A roundabout from its sizes [m].
+@dataclass(frozen=True, kw_only=True)
+class Circle:
+    """Sizes of a circle [m]: radius of the inscribed one, width of the lane that goes round and of the truck apron,
+    height of the middle island's grass, and the wished radius of entry and exit arcs.
+    """
+
+    radius: float
+    ring: float
+    apron: float
+    mound: float
+    corner: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """Sizes of an arm [m]: a lane's width, half a splitter island's, a pavement's, and from the circle to the middle of
+    the zebra.
+    """
+
+    lane: float
+    half_island: float
+    pavement: float
+    zebra: float
+
+
+def roundabout(lines: Sequence[ReferenceLine], circle: Circle, arm: Arm, land: Land) -> Roundabout:
+    """A roundabout from its sizes.
 
     Args:
         lines: of the arms, from the origin, counter-clockwise by the heading of their beginning.
-        zebra_m: between the circle and the middle of each zebra.
-        corner_m: wished radius of the entry and exit arcs; where two arms stand close it is less.
+        circle: whose arcs become smaller where two arms stand close.
+        arm: the same for all.
+        land: around it.
 
     Raises:
         RecipeError: islands or arcs find no room; says what would help.
     """
-    if radius - ring_m - apron < 3.0:
+    inner = circle.radius - circle.ring
+    if inner - circle.apron < 3.0:
         raise RecipeError(
-            f"circle.diameter_m {2 * radius:.3g} leaves no middle island of 3 m radius inside a ring of {ring_m:.3g} m "
-            f"and an apron of {apron:.3g} m; "
+            f"circle.diameter_m {2 * circle.radius:.3g} leaves no middle island of 3 m radius inside a ring of "
+            f"{circle.ring:.3g} m and an apron of {circle.apron:.3g} m; "
             "draw a larger circle.diameter_m, or a narrower circle.ring_m or circle.apron_m"
         )
-    edge, corners = half_island + lane_m, []
-    for one, other in zip(lines, [*lines[1:], lines[0]], strict=True):
-        sector = math.radians((other.origin[2] - one.origin[2]) % 360.0)
-        sine = math.sin(min(sector / 2 - 0.02, math.pi / 2))
-        most = (
-            math.inf if sine > 1 - 1e-9 else (radius * sine - edge) / (1 - sine)
-        )  # of the arc that touches circle and edge within its half of the sector
-        if most < max(RADIUS_M[0], pavement + 1.0):
-            raise RecipeError(
-                f"arms.apart_deg: two arms {math.degrees(sector):.3g} degrees apart leave no arc of "
-                f"{max(RADIUS_M[0], pavement + 1.0):.3g} m between them; "
-                "draw a larger circle.diameter_m, fewer arms.count or a larger arms.apart_deg"
-            )
-        corners.append(round(min(corner_m, most), 3))
-    across = LaneSection.from_widths(
-        [("pavement", pavement, 0), ("lane", lane_m, -1), ("lane", lane_m, 1), ("pavement", pavement, 0)]
-    )
-    arms = tuple(Road(line, across, land, (round(radius + zebra_m, 3),)) for line in lines)
-    inner = radius - ring_m
+    following = [*lines[1:], lines[0]]
+    sectors = [(after.origin[2] - line.origin[2]) % 360.0 for line, after in zip(lines, following, strict=True)]
+    pavement = ("pavement", arm.pavement, 0)
+    across = LaneSection.from_widths([pavement, ("lane", arm.lane, -1), ("lane", arm.lane, 1), pavement])
+    arms = tuple(Road(line, across, land, (round(circle.radius + arm.zebra, 3),)) for line in lines)
     ring = Road(
         ReferenceLine(round(2 * math.pi * inner, 6), ((0.0, 1.0 / inner),), origin=(inner, 0.0, 0.0)),
-        LaneSection.from_widths([("lane", ring_m, 1)]),
+        LaneSection.from_widths([("lane", circle.ring, 1)]),
     )
-    first = arms[0]
     return Roundabout(
-        first.reference_line,
+        arms[0].reference_line,
         across,
         land,
-        first.zebras,
+        arms[0].zebras,
         arms=arms,
         ring=ring,
-        radius=radius,
-        apron=apron,
-        mound=mound,
-        half_island=half_island,
-        corners=tuple(corners),
+        radius=circle.radius,
+        apron=circle.apron,
+        mound=circle.mound,
+        half_island=arm.half_island,
+        corners=tuple(_arc(sector, circle, arm) for sector in sectors),
     )
+
+
+def _arc(sector_deg: float, circle: Circle, arm: Arm) -> float:
+    """Radius [m] of the arc between two arms so far apart.
+
+    Raises:
+        RecipeError: it would be too small to follow.
+    """
+    sector = math.radians(sector_deg)
+    sine = math.sin(min(sector / 2 - 0.02, math.pi / 2))
+    # the largest arc touches circle and edge within its half of the sector
+    edge = arm.half_island + arm.lane
+    most = math.inf if sine > 1 - 1e-9 else (circle.radius * sine - edge) / (1 - sine)
+    least = max(RADIUS_M[0], arm.pavement + 1.0)
+    if most < least:
+        raise RecipeError(
+            f"arms.apart_deg: two arms {math.degrees(sector):.3g} degrees apart leave no arc of {least:.3g} m between "
+            "them; draw a larger circle.diameter_m, fewer arms.count or a larger arms.apart_deg"
+        )
+    return round(min(circle.corner, most), 3)

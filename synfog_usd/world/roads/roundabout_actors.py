@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.seeds import stream
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Draws
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import KERB_M
@@ -34,15 +32,8 @@ ABREAST_M = 0.75
 ABREAST = 2
 
 
-def drawn(
-    recipe: Recipe,
-    junction: Roundabout,
-    seed: int,
-    attempt: int,
-    before: float,
-    value: Any,
-    view: View,
-    room: rules.CollisionSet,
+def moving(
+    draws: Draws, junction: Roundabout, attempt: int, before: float, view: View, room: rules.CollisionSet
 ) -> list[Placement]:
     """Traffic and people of an attempt.
 
@@ -50,40 +41,41 @@ def drawn(
         RecipeError: there is no room for so many people.
     """
     return [
-        *_traffic(recipe, junction, seed, attempt, before, value, room),
-        *_people(recipe, junction, seed, attempt, view, value, room),
+        *_traffic(draws, junction, attempt, before, room),
+        *_people(draws, junction, attempt, view, room),
     ]
 
 
 def _traffic(
-    recipe: Recipe, junction: Roundabout, seed: int, attempt: int, before: float, value: Any, room: rules.CollisionSet
+    draws: Draws, junction: Roundabout, attempt: int, before: float, room: rules.CollisionSet
 ) -> list[Placement]:
     """Vehicles round the circle, waiting at its entries, and on the arms as many as the flow at that hour."""
-    least, density = traffic.flow(value, attempt)
-    round_it = min(traffic.speed_m_s(value), ring_speed_m_s((junction.radius + junction.inner) / 2))
-    rng = stream(seed, "recipe", "traffic", attempt, "ring")
-    placed = _ring(recipe, junction, rng, value("traffic.ring"), round_it, room)
-    for number in range(value("traffic.cyclists")):
-        placed += _cyclist(junction, stream(seed, "recipe", "cyclist", attempt, number), before, room)
-    total = value("traffic.count")
+    least, density = traffic.flow(draws, attempt)
+    speed = traffic.speed_m_s(draws)
+    ring_speed = min(speed, ring_speed_m_s((junction.radius + junction.inner) / 2))
+    rng = draws.stream("traffic", attempt, "ring")
+    placed = _ring(draws, junction, rng, ring_speed, room)
+    for number in range(draws.whole("traffic.cyclists")):
+        placed += _cyclist(junction, draws.stream("cyclist", attempt, number), before, room)
+    total = draws.optional("traffic.count")
     lanes = [(arm, way) for arm in range(len(junction.arms)) for way in (-1, 1)]
-    chosen = stream(seed, "recipe", "traffic", attempt, "number").integers(len(lanes), size=total or 0)
-    own_behind, own_before = traffic.OWN_CAR_M
+    chosen = draws.stream("traffic", attempt, "number").integers(len(lanes), size=int(total or 0))
+    ego_behind, ego_before = traffic.OWN_CAR_M
     for index, (arm, way) in enumerate(lanes):
-        rng = stream(seed, "recipe", "traffic", attempt, "arm", arm, way + 1)
+        rng = draws.stream("traffic", attempt, "arm", arm, way + 1)
         road = junction.arms[arm]
         low, high = junction.radius + 1.0, min(junction.radius + AHEAD_M, road.reference_line.length - 6.0)
-        own = [(before - own_before - max(least, 4.0), before + own_behind + least)] if (arm, way) == (0, -1) else []
+        ego = [(before - ego_before - max(least, 4.0), before + ego_behind + least)] if (arm, way) == (0, -1) else []
         count = int((chosen == index).sum()) if total is not None else int(rng.poisson(density * (high - low)))
         vehicles: list[traffic.Vehicle] = []
         waits = rng.random() < WAITS
-        body, looks = traffic.draw_car(recipe, "traffic", rng)
-        if waits and way < 0 and count and _waits(junction, arm, body) and not (own and own[0][0] < road.zebras[0]):
+        body, looks = traffic.draw_car(draws.recipe, "traffic", rng)
+        if waits and way < 0 and count and _waits(junction, arm, body) and not (ego and ego[0][0] < road.zebras[0]):
             vehicles.append((body, looks, junction.radius + WAIT_M + rules.model(body).length / 2))
             count -= 1
-        free = traffic.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, own)
-        vehicles += traffic.flowing(recipe, rng, free, count, least)
-        placed += traffic.fill(_lane(junction, arm, way, traffic.speed_m_s(value)), vehicles, rng, room)
+        free = traffic.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, ego)
+        vehicles += traffic.flowing(draws.recipe, rng, free, count, least)
+        placed += traffic.fill(_lane(junction, arm, way, speed), vehicles, rng, room)
     return placed
 
 
@@ -98,11 +90,11 @@ def _lane(junction: Roundabout, arm: int, way: int, speed_m_s: float) -> traffic
         return arrives or rng.random() < traffic.BRAKING
 
     def speed(s: float, length: float, braking: bool) -> float | None:
-        left = s - junction.arms[arm].zebras[0]
-        if way < 0 and left < 0.0:
+        to_zebra = s - junction.arms[arm].zebras[0]
+        if way < 0 and to_zebra < 0.0:
             return 0.0  # it waits at the circle
-        if way < 0 and left < traffic.BRAKING_M:
-            return traffic.slowed(speed_m_s, left - ZEBRA_HALF_M, length=length)
+        if way < 0 and to_zebra < traffic.BRAKING_M:
+            return traffic.slowed(speed_m_s, to_zebra - ZEBRA_HALF_M, length=length)
         return None if braking else speed_m_s
 
     return traffic.TrafficLane(pose, traffic.offsets_in_lane(junction.lane_width), brakes, speed_m_s=speed)
@@ -129,17 +121,12 @@ def ring_speed_m_s(radius_m: float) -> float:
 
 
 def _ring(
-    recipe: Recipe,
-    junction: Roundabout,
-    rng: np.random.Generator,
-    count: int,
-    speed_m_s: float,
-    room: rules.CollisionSet,
+    draws: Draws, junction: Roundabout, rng: np.random.Generator, speed_m_s: float, room: rules.CollisionSet
 ) -> list[Placement]:
     """Vehicles that go round, at random with a car's nose between them; bodies too long for the circle stay away."""
     width, length = junction.radius - junction.inner, junction.ring.reference_line.length
     stretch = junction.inner / (junction.inner + width / 2)  # stations are counted along the inner edge
-    cars = [traffic.draw_car(recipe, "traffic", rng) for _ in range(count)]
+    cars = [traffic.draw_car(draws.recipe, "traffic", rng) for _ in range(draws.whole("traffic.ring"))]
     lengths = [rules.model(body).length * 1.1 * stretch for body, _ in cars]
     places = list(traffic.queue(rng, (0.0, length - RING_LEAST_M), lengths, RING_LEAST_M * stretch))
     begin = float(rng.uniform(0.0, length))
@@ -147,7 +134,7 @@ def _ring(
     def pose(s: float, aside: float) -> traffic.Pose:
         return *junction.ring_pose(begin + s, aside), 0.0
 
-    def across(rng: np.random.Generator, found: LibraryModel) -> Iterator[float]:
+    def across(rng: np.random.Generator, model: LibraryModel) -> Iterator[float]:
         for share in RING_ACROSS:
             yield share * width + float(rng.normal(0, 0.1))
 
@@ -185,9 +172,7 @@ def _cyclist(
     return traffic.cyclist(rng, place, room)
 
 
-def _people(
-    recipe: Recipe, junction: Roundabout, seed: int, attempt: int, view: View, value: Any, room: rules.CollisionSet
-) -> list[Placement]:
+def _people(draws: Draws, junction: Roundabout, attempt: int, view: View, room: rules.CollisionSet) -> list[Placement]:
     """On pavements, denser near the camera, and on the zebras."""
     forward = math.radians(view.heading)
     line = junction.outline
@@ -215,13 +200,13 @@ def _people(
         return _abreast(junction, rng, float(x), float(y), heading)
 
     return people.walking(
-        recipe,
+        draws.recipe,
         people.Footways(places, most=ABREAST, redressed=True),
-        lambda number: stream(seed, "recipe", "person", attempt, number),
+        lambda number: draws.stream("person", attempt, number),
         room,
-        count=value("people.count"),
-        crossing_share=value("people.crossing_share"),
-        company=value("people.company"),
+        count=draws.whole("people.count"),
+        crossing_share=draws.number("people.crossing_share"),
+        company=draws.number("people.company"),
     )
 
 

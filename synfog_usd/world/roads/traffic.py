@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from synfog_usd.world.language import Recipe
+from synfog_usd.world.language import Draws, Recipe
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
@@ -26,8 +25,7 @@ Pose = tuple[float, float, float, float, float]
 Vehicle = tuple[str, dict[str, str], float]
 """Model, looks, and the station of its middle [m]."""
 TRIES_ALIKE, DENSER = 5, 1.3
-"""A world whose traffic is too thin for the rules of sight is tried again with denser traffic, after every few
-tries.
+"""Where traffic is too thin for the rules of sight it becomes denser by a factor, after every few tries.
 """
 OWN_CAR_M = (4.5, 2.6)
 """Free lane behind and before the lens: the camera's own car."""
@@ -44,18 +42,18 @@ def draw_car(
     recipe: Recipe, section: str, rng: np.random.Generator, among: Sequence[str] | None = None
 ) -> tuple[str, dict[str, str]]:
     """A vehicle and its paint, of what a section of the recipe chooses among."""
-    body = recipe.distributions[f"{section}.bodies"](rng, among)
+    body = recipe.distributions[f"{section}.bodies"].word(rng, among)
     paints = rules.model(body).variants.get("paint", ())
-    paint = recipe.distributions[f"{section}.paints"](rng, paints) if paints else ""
+    paint = recipe.distributions[f"{section}.paints"].word(rng, paints) if paints else ""
     return body, ({"paint": paint} if paint else {})
 
 
 # -- how fast, how many, and where along a lane
 
 
-def speed_m_s(value: Any) -> float:
+def speed_m_s(draws: Draws) -> float:
     """Of traffic that neither waits nor brakes."""
-    return float(value("traffic.speed_kmh")) / 3.6
+    return float(draws.number("traffic.speed_kmh")) / 3.6
 
 
 def slowed(speed_m_s: float, left_m: float, *, length: float) -> float:
@@ -69,23 +67,22 @@ def slowed(speed_m_s: float, left_m: float, *, length: float) -> float:
     return speed_m_s * math.sqrt(min(max(left_m - length / 2, 0.0) / BRAKING_M, 1.0))
 
 
-def flow(value: Any, attempt: int) -> tuple[float, float]:
+def flow(draws: Draws, attempt: int) -> tuple[float, float]:
     """Least distance between bumpers [m] and vehicles per length of lane [1/m], denser after tries that failed."""
-    speed = speed_m_s(value)
-    return 1.5 + speed * value("traffic.headway_s"), value("traffic.per_hour") / 3600.0 / speed * DENSER ** (
-        attempt // TRIES_ALIKE
-    )
+    speed = speed_m_s(draws)
+    density = draws.number("traffic.per_hour") / 3600.0 / speed * DENSER ** (attempt // TRIES_ALIKE)
+    return 1.5 + speed * draws.number("traffic.headway_s"), density
 
 
 def spans(road: Road, low: float, high: float, blocked: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
     """Stretches of a lane between two stations that are free of zebras and of what is blocked."""
     cuts = sorted([*blocked, *((s - ZEBRA_FREE_M, s + ZEBRA_FREE_M) for s in road.zebras)])
-    found, at = [], low
+    stretches, at = [], low
     for a, b in cuts:
         if a > at:
-            found.append((at, min(a, high)))
+            stretches.append((at, min(a, high)))
         at = max(at, b)
-    return [(a, b) for a, b in [*found, (at, high)] if b - a > 3.0]
+    return [(a, b) for a, b in [*stretches, (at, high)] if b - a > 3.0]
 
 
 def queue(
@@ -97,7 +94,7 @@ def queue(
     uniform points, as in free traffic.  Vehicles that do not fit are left out.
 
     Args:
-        rng: asked for the gaps at once, and for each gap between waiting vehicles as it comes.
+        rng: draws all slack first, and each gap between waiting vehicles when its vehicle is asked for.
         span: where the first bumper and the last may be [m].
         lengths: of the vehicles [m].
         least: between bumpers [m].
@@ -167,9 +164,9 @@ class TrafficLane:
 def offsets_in_lane(width: float) -> Callable[[np.random.Generator, LibraryModel], Iterator[float]]:
     """Offsets from the middle of a lane of a width [m]; who is narrow rides anywhere within it."""
 
-    def across(rng: np.random.Generator, found: LibraryModel) -> Iterator[float]:
-        narrow = found.group == "rider"
-        most = min(0.9 if narrow else 0.2, max(0.0, (width - found.width) / 2 - 0.15))
+    def across(rng: np.random.Generator, model: LibraryModel) -> Iterator[float]:
+        narrow = model.group == "rider"
+        most = min(0.9 if narrow else 0.2, max(0.0, (width - model.width) / 2 - 0.15))
         yield float(np.clip(rng.normal(0, 0.45 if narrow else 0.08), -most, most))
 
     return across
@@ -179,11 +176,11 @@ def fill(lane: TrafficLane, vehicles: Iterable[Vehicle], rng: np.random.Generato
     """Those vehicles that find room in a lane, lamps glowing or braking."""
     placed: list[Placement] = []
     for body, looks, s in vehicles:
-        found = rules.model(body)
-        for aside in lane.across(rng, found):
+        model = rules.model(body)
+        for aside in lane.across(rng, model):
             x, y, z, heading, pitch = lane.pose(s, aside)
-            lit = "brake" if lane.brakes(rng, s) and "brake" in found.variants.get("lamps", ()) else "glow"
-            speed = lane.speed_m_s(s, found.length, lit == "brake")
+            lit = "brake" if lane.brakes(rng, s) and "brake" in model.variants.get("lamps", ()) else "glow"
+            speed = lane.speed_m_s(s, model.length, lit == "brake")
             p = Placement("Vehicles", "", body, x, y, heading, looks, {"lamps": lit}, z=z, pitch=pitch, speed_m_s=speed)
             if lane.fits(p) and room.take(p, lane.margin):
                 placed.append(p)
@@ -197,10 +194,10 @@ def cyclist(
     """One cyclist at the first place that has room; `place` draws one, or None where that is none."""
     looks = look(rng, rules.model("cyclist"))
     for _ in range(CYCLIST_TRIES):
-        found = place(rng)
-        if found is None:
+        pose = place(rng)
+        if pose is None:
             continue
-        x, y, z, heading, pitch = found
+        x, y, z, heading, pitch = pose
         p = Placement("Vehicles", "", "cyclist", x, y, heading, looks, z=z, pitch=pitch)
         if room.take(p, CYCLIST_APART_M):
             return [p]
@@ -250,10 +247,10 @@ def park(
         aside = float(np.clip(rng.normal(0, care.across), -care.most, care.most))
         along = float(rng.uniform(-care.along, care.along))
         nose_in = rng.random() < 0.7
-        found = bay.pose(along, aside) if there and rules.model(body).length <= bay.room_m else None
-        if found is None:
+        pose = bay.pose(along, aside) if there and rules.model(body).length <= bay.room_m else None
+        if pose is None:
             continue
-        x, y, z, heading, pitch = found
+        x, y, z, heading, pitch = pose
         if bay.crosswise:
             heading, pitch = heading + (-90.0 if nose_in else 90.0), 0.0
         turned = round(heading + float(rng.normal(0, care.turn)), 3)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.seeds import stream
+from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.props import look
@@ -43,10 +42,10 @@ class Works:
 
 
 def site(
-    road: Road, seed: int, station: float, value: Any, taken: rules.CollisionSet
+    road: Road, draws: Draws, station: float, occupied: rules.CollisionSet
 ) -> tuple[Works | None, list[Placement]]:
     """Works on the side that the recipe names, with workers; none where no strip is wide enough, or has no room."""
-    where = value("works.where")
+    where = draws.word("works.where")
     strips = [
         lane
         for lane in road.lane_section.of("shoulder", "pavement", "verge")
@@ -58,8 +57,8 @@ def site(
     side = 1 if where == "right" else -1
     lane = strips[0] if side > 0 else strips[-1]
     low, high = sorted((inner := (lane.low if side > 0 else lane.high) + side * FROM_LANE_M, inner + side * WIDE_M))
-    rng = stream(seed, "recipe", "works")
-    begin, length = station + value("works.ahead_m"), float(rng.uniform(4.0, 7.0))
+    rng = draws.stream("works")
+    begin, length = station + draws.number("works.ahead_m"), float(rng.uniform(4.0, 7.0))
     for attempt in range(TRIES):
         works = Works(round(begin + 2.0 * attempt, 3), round(length, 3), round(low, 3), round(high, 3), side)
         end = works.s + length
@@ -75,17 +74,15 @@ def site(
             ),
             axis=-1,
         )
-        if not taken.free_outline(corners, 0.1):
+        if not occupied.free_outline(corners, 0.1):
             continue
         workers = []
         for place in rng.permutation(3)[: int(rng.integers(1, 3))]:
             at, t = works.s + (0.2 + 0.3 * int(place)) * length, (low + high) / 2 + side * 0.35
             x, y, z, heading, _ = road.pose(at, t)
-            turn = (heading + float(rng.uniform(0, 360)) + 180.0) % 360.0 - 180.0
-            workers.append(
-                Placement("People", "", "worker", x, y, round(turn, 2), look(rng, rules.model("worker")), z=z)
-            )
-        taken.add_outline(corners)
+            turn = rules.facing(heading + float(rng.uniform(0, 360)))
+            workers.append(Placement("People", "", "worker", x, y, turn, look(rng, rules.model("worker")), z=z))
+        occupied.add_outline(corners)
         return works, workers
     return None, []
 
