@@ -65,7 +65,7 @@ def placements() -> list[Placement]:
     """Everything that stands in the streets; vehicles and people far from the camera in fewer triangles, people of a
     kind in different poses.
     """
-    movable = [_coarser(p) for p in (*vehicles(), *posed(people(), 0))]
+    movable = [_coarser(p) for p in (*vehicles(), *posed(people(), stream(0, "recipe", "individuals")))]
     return [*ground(), *houses(), *movable, *furniture(), *trees()]
 
 
@@ -81,7 +81,7 @@ def vehicles() -> list[Placement]:
     def put(asset: str, x: float, y: float, heading: float, paint: str, drives: bool = False) -> None:
         lit = {"lamps": "on" if y < 80 else "glow"} if drives else {}
         placed.append(
-            stood("Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, x, y, heading, {"paint": paint}, lit)
+            stood("Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, (x, y, heading), {"paint": paint}, lit)
         )
 
     put("hatchback", -1.80, 18.4, 180, "red", True)
@@ -164,14 +164,14 @@ def people() -> list[Placement]:
         ("man_walking", -11.8, -5.9, -85, "a"),
     ]
     placed = [
-        stood("People", f"Person_{i + 1:02d}", asset, x, y, heading, {"outfit": outfit})
+        stood("People", f"Person_{i + 1:02d}", asset, (x, y, heading), {"outfit": outfit})
         for i, (asset, x, y, heading, outfit) in enumerate(rows)
     ]
     for i, (x, y, heading, outfit, colour) in enumerate(
         [(2.75, -24.2, 1.0, "a", "teal"), (-2.3, 42.0, 180.0, "b", "black")]
     ):
-        placed.append(stood("People", f"Rider_{i + 1}", "rider", x, y, heading, {"outfit": outfit}))
-        placed.append(stood("Vehicles", f"Bicycle_{i + 1}", "bicycle", x, y, heading, {"colour": colour}))
+        placed.append(stood("People", f"Rider_{i + 1}", "rider", (x, y, heading), {"outfit": outfit}))
+        placed.append(stood("Vehicles", f"Bicycle_{i + 1}", "bicycle", (x, y, heading), {"colour": colour}))
     placed += parked_bicycles()
     return placed
 

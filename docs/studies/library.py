@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from docs.studies.model_sheet import CELL_PX, VIEWS_DEG, ordered, write_stage
 from synfog_usd.base import files, resources
 from synfog_usd.base.colour import srgb_encode
 from synfog_usd.dataset.bake import bake
@@ -26,7 +27,6 @@ from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.world.components import thumbnail_file
 from synfog_usd.world.library import library, origin
 from synfog_usd.world.library import model as find
-from synfog_usd.world.sheet import CELL_PX, VIEWS_DEG, ordered, write_stage
 
 if TYPE_CHECKING:
     from PIL import Image

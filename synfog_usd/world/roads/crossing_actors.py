@@ -15,7 +15,7 @@ from synfog_usd.world.language import Draws, weighted
 from synfog_usd.world.library import LibraryModel, nominal
 from synfog_usd.world.roads import crossing_props, people, rules, traffic
 from synfog_usd.world.roads.crossing import BAY_M, MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, ground_height
-from synfog_usd.world.roads.crossing_props import stood
+from synfog_usd.world.roads.crossing_props import LIT_Y, stood
 from synfog_usd.world.spec import Placement
 
 WIDE = ("bus", "lorry")
@@ -24,7 +24,6 @@ PARKED_X = 4.5
 CARE = traffic.Care(across=0.04, most=0.08, along=0.12, turn=0.0)
 NEAREST_LIT = 8
 """Cars in traffic whose headlights are lights; the others' lenses glow.  Each light costs noise in every pixel."""
-LIT_Y = 80.0
 CROSSING_SHARE = 0.3
 """Share of the people who are on the zebra crossings of the street that waits."""
 ROOM_M = {"bench": 1.4, "advertising_column": 1.3, "cabinet": 1.1, "bicycle": 1.3}
@@ -238,6 +237,6 @@ def cyclist(draws: Draws) -> list[Placement]:
     heading = round(float(rng.normal(0, 1)), 1)
     outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
     return [
-        stood("People", "Rider_1", "rider", x, y, heading, {"outfit": outfit}),
-        stood("Vehicles", "Bicycle_1", "bicycle", x, y, heading, {"colour": colour}),
+        stood("People", "Rider_1", "rider", (x, y, heading), {"outfit": outfit}),
+        stood("Vehicles", "Bicycle_1", "bicycle", (x, y, heading), {"colour": colour}),
     ]

@@ -42,7 +42,12 @@ def draw(draws: Draws) -> WorldSpec:
     lens_z, lens = round(draws.number("camera.height_m"), 3), focal_length(draws.number("camera.fov_x_deg"))
     return WorldSpec(
         about=f"{draws.recipe.about.removesuffix('.')}, drawn from {draws.recipe.name} with seed {draws.seed}.",
-        placed=(*signed(fixed, crossing_props.VIEW, draws), *plated(cars, draws), *posed(people, draws), *riders),
+        placed=(
+            *signed(fixed, crossing_props.VIEW, draws.stream("shops")),
+            *plated(cars, draws.stream("plates")),
+            *posed(people, draws.stream("individuals")),
+            *riders,
+        ),
         view=replace(crossing_props.VIEW, z=lens_z, focal_length=lens),
         fog=fog,
         fog_selected=list(fog)[len(fog) // 2],

@@ -101,8 +101,8 @@ def assembled(
 ) -> WorldSpec:
     """The world of a road and what stands at it, with sky, fog and the lamps that are lights."""
     heading, gain = round(draws.number("sky.heading_deg"), 1), round(draws.number("sky.gain"), 3)
-    placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), draws)
-    placed = signed(posed(placed, draws), view, draws)
+    placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), draws.stream("plates"))
+    placed = signed(posed(placed, draws.stream("individuals")), view, draws.stream("shops"))
     day = draws.word("sky.day")
     fogs = draws.recipe.fog_variants(draws.seed)
     return WorldSpec(
@@ -129,9 +129,8 @@ def assembled(
     )
 
 
-def plated(placed: Sequence[Placement], draws: Draws) -> list[Placement]:
+def plated(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placement]:
     """With a number plate for each vehicle that has one."""
-    rng = draws.stream("plates")
     result = []
     for p in placed:
         choices = rules.model(p.asset).variants.get("plate", ())
@@ -141,11 +140,10 @@ def plated(placed: Sequence[Placement], draws: Draws) -> list[Placement]:
     return result
 
 
-def signed(placed: Sequence[Placement], view: View, draws: Draws) -> list[Placement]:
+def signed(placed: Sequence[Placement], view: View, rng: np.random.Generator) -> list[Placement]:
     """With names over the shops of each house that has some: no name twice while there are others, beginning with the
     house nearest the camera.
     """
-    rng = draws.stream("shops")
     shown: set[tuple[str, int]] = set()
     result = list(placed)
     for p in sorted(placed, key=lambda p: math.hypot(p.x - view.x, p.y - view.y)):
@@ -160,12 +158,11 @@ def signed(placed: Sequence[Placement], view: View, draws: Draws) -> list[Placem
     return result
 
 
-def posed(placed: Sequence[Placement], draws: Draws) -> list[Placement]:
+def posed(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placement]:
     """With one of several individuals for each person: no two of a kind who come one after the other are the same.  Of
     those who stand within `TOGETHER_M` no two are at one moment of the step while there are others, and no two of a
     kind wear the same.
     """
-    rng = draws.stream("individuals")
     result: list[Placement] = []
     people: list[Placement] = []
     last: dict[str, str] = {}
