@@ -65,15 +65,15 @@ def author_rig(stage: Usd.Stage, spec: WorldSpec) -> None:
     if not spec.rig:
         return
     UsdGeom.Xform.Define(stage, "/World/Rig")
-    for one in spec.rig:
-        camera = _camera(stage, f"{RIG}/{one.name}", one.focal_length)
-        camera.AddTransformOp().Set(Gf.Matrix4d(np.round(rig_place(spec.view, one).T, 6).tolist()))
+    for eye in spec.rig:
+        camera = _camera(stage, f"{RIG}/{eye.name}", eye.focal_length)
+        camera.AddTransformOp().Set(Gf.Matrix4d(np.round(rig_place(spec.view, eye).T, 6).tolist()))
 
 
-def rig_place(view: View, one: RigCamera) -> Array:
+def rig_place(view: View, camera: RigCamera) -> Array:
     """(4, 4) from a camera of the rig to the stage, for the ego's view."""
     car = shift(view.x, view.y, view.z) @ turn(view.heading) @ turn(view.tilt - 90.0, "x")
-    return np.asarray(car @ shift(one.right, one.ahead) @ turn(one.yaw) @ turn(90.0, "x"))
+    return np.asarray(car @ shift(camera.right, camera.ahead) @ turn(camera.yaw) @ turn(90.0, "x"))
 
 
 def author_fog(stage: Usd.Stage) -> None:
@@ -98,14 +98,14 @@ def author_fog(stage: Usd.Stage) -> None:
 def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     """The two domes, of which a lighting shows one."""
     UsdGeom.Scope.Define(stage, "/World/Sky")
-    for name, one in ((_day(spec.day), spec.day), ("Dusk", spec.dusk)):
+    for name, sky in ((_day(spec.day), spec.day), ("Dusk", spec.dusk)):
         path = f"/World/Sky/{name}"
-        if one.sky in skies.skies():
-            skies.author_dome(stage, path, one.sky, skies=f"{assets}/skies", heading_deg=one.heading_deg, gain=one.gain)
+        if sky.sky in skies.skies():
+            skies.author_dome(stage, path, sky.sky, skies=f"{assets}/skies", heading_deg=sky.heading_deg, gain=sky.gain)
             continue
         dome = UsdLux.DomeLight.Define(stage, path)
-        dome.CreateIntensityAttr(one.gain)
-        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{one.sky}.exr"))
+        dome.CreateIntensityAttr(sky.gain)
+        dome.CreateTextureFileAttr(Sdf.AssetPath(f"{assets}/skies/{sky.sky}.exr"))
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
         UsdGeom.Xformable(dome).AddRotateXOp().Set(90.0)  # the picture's pole to the zenith
 
@@ -167,13 +167,16 @@ def author_instancer(
     instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
     instancer.CreateProtoIndicesAttr(Vt.IntArray([0] * len(points)))
     instancer.CreatePositionsAttr(Vt.Vec3fArray([Gf.Vec3f(*(round(float(v), 3) for v in p)) for p in points]))
-    half = np.deg2rad(turns) / 2
-    instancer.CreateOrientationsAttr(
-        Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
-    )
+    instancer.CreateOrientationsAttr(upright(turns))
     instancer.CreateExtentAttr(instancer.ComputeExtentAtTime(Usd.TimeCode.Default(), Usd.TimeCode.Default()))
     Usd.ModelAPI(instancer.GetPrim()).SetKind(Kind.Tokens.group)
     label(instancer.GetPrim(), name)
+
+
+def upright(turns: Array) -> Vt.QuathArray:
+    """Rotations about Z from (N,) headings [degrees]."""
+    half = np.deg2rad(turns) / 2
+    return Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
 
 
 def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], selected: str) -> None:

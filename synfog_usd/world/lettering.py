@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from synfog_usd.world.shapes import Part, quads
+from synfog_usd.world.shapes import Array, Part, quads
 
 GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
     "A": "002640 1232",
@@ -53,6 +53,11 @@ GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
 }
 
 
+def strokes(letter: str) -> list[Array]:
+    """(K, 2) points of each stroke, on a grid of 4 by 6."""
+    return [np.array([*map(float, stroke)]).reshape(-1, 2) for stroke in GLYPHS[letter].split()]
+
+
 def letters(word: str, height: float, material: str, *, align: str = "middle") -> list[Part]:
     """A word whose feet stand on z = 0.
 
@@ -62,18 +67,16 @@ def letters(word: str, height: float, material: str, *, align: str = "middle") -
         align: 'middle' of the word at x = 0, or its 'left' as the reader sees it.
     """
     unit, weight = height / 6, 0.13 * height
-    strokes, at = [], 0.0
+    lines, at = [], 0.0
     for letter in word:
-        for line in GLYPHS[letter].split():
-            points = (
-                np.array([(int(line[i]), int(line[i + 1])) for i in range(0, len(line), 2)], dtype=np.float64) * unit
-            )
+        for stroke in strokes(letter):
+            points = stroke * unit
             points[:, 0] += at
-            strokes += list(itertools.pairwise(points))
+            lines += list(itertools.pairwise(points))
         at += 5.6 * unit
     width = at - 1.6 * unit
     corners = []
-    for a, b in strokes:
+    for a, b in lines:
         along = (b - a) / np.linalg.norm(b - a) * weight / 2
         across = np.array([-along[1], along[0]])
         corners.append([a - along - across, b + along - across, b + along + across, a - along + across])

@@ -296,6 +296,24 @@ def fan(outline: npt.ArrayLike, material: str, *, tile_m: float = 1.0) -> Part:
     return Part(points, faces, material, points[:, :2] / tile_m)
 
 
+def rectangle(
+    low: tuple[float, float], high: tuple[float, float], z: float, material: str, *, tile_m: float = 1.0
+) -> Part:
+    """A level rectangle between two corners, textured in metres from above."""
+    (x0, y0), (x1, y1) = low, high
+    return fan([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)], material, tile_m=tile_m)
+
+
+def untextured(part: Part) -> Part:
+    """Without texture coordinates, for materials without a texture."""
+    return replace(part, uv=None)
+
+
+def textured_from_above(part: Part, tile_m: float) -> Part:
+    """With texture coordinates over `tile_m`, and flat."""
+    return Part(part.points, part.faces, part.material, part.points[:, :2] / tile_m)
+
+
 def _faceted(part: Part) -> Part:
     corner = part.faces.ravel()
     return Part(

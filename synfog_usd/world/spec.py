@@ -10,6 +10,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
+import numpy.typing as npt
+
+from synfog_usd.base.arrays import Array
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -98,8 +102,8 @@ class SkyDome:
 class Site(Protocol):
     """The road or junction that everything stands at: a record whose kind `roads.stage` knows."""
 
-    def height(self, x: Any, y: Any) -> Any:
-        """Height of the ground [m] at a place."""
+    def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Height of the ground [m] at places."""
 
 
 @dataclass(frozen=True)

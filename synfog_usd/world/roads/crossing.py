@@ -9,6 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
+from synfog_usd.base.arrays import Array
+
 LANE_M = 3.4  # of the main street
 MAIN_HALF = 5.6  # lane and parking 2.2
 SIDE_HALF = 4.4
@@ -38,6 +43,6 @@ def ground_height(x: float, y: float) -> float:
 class Crossing:
     """The crossing as what everything stands at; its ground is a model of the library."""
 
-    def height(self, x: float, y: float) -> float:
-        """Height of the ground [m] at a place within the streets."""
-        return ground_height(x, y)
+    def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Height of the ground [m] at places within the streets."""
+        return np.asarray(np.vectorize(ground_height, otypes=[np.float64])(x, y))

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from synfog_usd.world.lettering import strokes
 from synfog_usd.world.roads.lane_section import PAVED, Lane
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.surface import bend, ribbon
-from synfog_usd.world.shapes import Part, fan, strip
+from synfog_usd.world.shapes import Part, fan, rectangle, strip, textured_from_above
 
 THICK_M = 0.003
 TILE_M = 3.0
@@ -23,8 +24,6 @@ BAY_M = 5.8
 BAY_ACROSS_M = 2.5
 DEEP_M = 4.4
 """Bays along the road are BAY_M long; in parking deeper than DEEP_M cars stand across it, in bays BAY_ACROSS_M wide."""
-LETTERS = {"B": "00062635443303 3342413000", "U": "060110304146", "S": "453616050413334241301001"}
-"""Strokes on a grid of 4 by 6, points as digit pairs."""
 
 
 def markings(road: Road) -> list[Part]:
@@ -43,12 +42,12 @@ def zebra_span(road: Road) -> tuple[float, float]:
 
 def bays(road: Road) -> list[tuple[Lane, float]]:
     """(parking strip, station of the middle) of every bay."""
-    found = []
+    middles = []
     for lane in road.lane_section.of("parking"):
         step = bay_length(lane)
         for low, high in _free(road):
-            found += [(lane, float(s) + step / 2 + 0.05) for s in np.arange(low + 5.0, high - 5.0 - step, step)]
-    return found
+            middles += [(lane, float(s) + step / 2 + 0.05) for s in np.arange(low + 5.0, high - 5.0 - step, step)]
+    return middles
 
 
 def bay_length(lane: Lane) -> float:
@@ -69,6 +68,12 @@ def painted_line(
     return parts
 
 
+def bar(across: tuple[float, float], along: tuple[float, float]) -> Part:
+    """A painted rectangle from offset to offset and from station to station [m]."""
+    (t0, t1), (s0, s1) = across, along
+    return rectangle((t0, s0), (t1, s1), THICK_M, "marking", tile_m=TILE_M)
+
+
 def _free(road: Road) -> list[tuple[float, float]]:
     """Stretches between zebras, where lines run."""
     cuts = [
@@ -86,10 +91,10 @@ def _lines(road: Road) -> list[Part]:
     wide = 0.15 if fast else 0.12
     urban = any(lane.kind == "pavement" for lane in strips)
     for low, high in _free(road):
-        for one, other in itertools.pairwise(strips):
-            kinds = {one.kind, other.kind}
-            t = other.low
-            if kinds == {"lane"} and one.way != other.way:
+        for before, lane in itertools.pairwise(strips):
+            kinds = {before.kind, lane.kind}
+            t = lane.low
+            if kinds == {"lane"} and before.way != lane.way:
                 if road.centre == "double":
                     parts += painted_line(t - 0.1, low, high, wide) + painted_line(t + 0.1, low, high, wide)
                 elif road.centre != "none":
@@ -103,7 +108,7 @@ def _lines(road: Road) -> list[Part]:
             elif kinds & {"lane", "bus"} and kinds & {"shoulder"}:
                 parts += painted_line(t, low, high, 2 * wide if fast else wide)
             elif kinds & {"lane", "bus"} and kinds & {"verge", "reserve", "island"} and not urban:
-                inward = -1 if one.kind in ("lane", "bus") else 1
+                inward = -1 if before.kind in ("lane", "bus") else 1
                 parts += painted_line(t + 0.22 * inward, low, high, wide)
     return parts
 
@@ -116,13 +121,7 @@ def _bays(road: Road) -> list[Part]:
         for low, high in _free(road):
             for s in np.arange(low + 5.0, high - 5.0, bay_length(lane)):
                 a, b = sorted((inner, inner + 0.8 * (outer - inner)))
-                parts.append(
-                    fan(
-                        [(a, s, THICK_M), (b, s, THICK_M), (b, s + 0.1, THICK_M), (a, s + 0.1, THICK_M)],
-                        "marking",
-                        tile_m=TILE_M,
-                    )
-                )
+                parts.append(bar((a, b), (s, s + 0.1)))
                 if bay_length(lane) == BAY_M:
                     parts += painted_line(inner, s, s + 1.0, 0.1)
     return parts
@@ -134,13 +133,13 @@ def _arrows(road: Road) -> list[Part]:
     lanes = road.driving_lanes
     fast = any(lane.kind == "reserve" for lane in road.lane_section.lanes)
     for lane in lanes:
-        beside = [other for other in lanes if other.way == lane.way]
+        same_way = [neighbour for neighbour in lanes if neighbour.way == lane.way]
         for s in np.arange(30.0, road.reference_line.length - 15.0, 85.0):
             if any(abs(s - zebra) < 9.0 for zebra in road.zebras):
                 continue
             if lane.kind == "bus":
                 parts += _letters(lane, s)
-            elif len(beside) > 1 and not fast:
+            elif len(same_way) > 1 and not fast:
                 parts += arrow(lane, s)
     return parts
 
@@ -160,15 +159,11 @@ def arrow(lane: Lane, s: float) -> list[Part]:
 def _letters(lane: Lane, s: float) -> list[Part]:
     """BUS, drawn out along the road to be read from a car."""
     parts = []
-    for place, strokes in enumerate(LETTERS.values()):
-        left = lane.middle + lane.way * (-1.15 + 0.85 * place)
-        for stroke in strokes.split():
-            grid = np.array(
-                [(int(a), int(b)) for a, b in zip(stroke[::2], stroke[1::2], strict=True)], dtype=np.float64
-            )
-            points = np.c_[left + lane.way * grid[:, 0] * 0.15, s + lane.way * grid[:, 1] * 0.42]
-            part = ribbon(points, 0.13, THICK_M, "marking")
-            parts.append(Part(part.points, part.faces, "marking", part.points[:, :2] / TILE_M))
+    for place, letter in enumerate("BUS"):
+        begin = lane.middle + lane.way * (-1.15 + 0.85 * place)
+        for grid in strokes(letter):
+            points = np.c_[begin + lane.way * grid[:, 0] * 0.15, s + lane.way * grid[:, 1] * 0.42]
+            parts.append(textured_from_above(ribbon(points, 0.13, THICK_M, "marking"), TILE_M))
     return parts
 
 
@@ -182,14 +177,11 @@ def _zebra(road: Road, s: float) -> list[Part]:
             continue
         a, b = s - ZEBRA_DEPTH_M / 2, s + ZEBRA_DEPTH_M / 2
         edges = [t, *(lane.low for lane in road.lane_section.lanes if t < lane.low < t + 0.5), t + 0.5]
-        for left, right in itertools.pairwise(edges):  # a stripe over the crown bends with it
-            corners = [(left, a, THICK_M), (right, a, THICK_M), (right, b, THICK_M), (left, b, THICK_M)]
-            parts.append(fan(corners, "marking", tile_m=TILE_M))
+        # a stripe over the crown bends with it
+        parts += [bar(ends, (a, b)) for ends in itertools.pairwise(edges)]
     for lane in road.driving_lanes:
         at = s - lane.way * (ZEBRA_DEPTH_M / 2 + 1.2)
         t0, t1 = lane.middle - lane.width / 2 + 0.1, lane.middle + lane.width / 2 - 0.1
         y0, y1 = sorted((at, at - lane.way * 0.4))
-        parts.append(
-            fan([(t0, y0, THICK_M), (t1, y0, THICK_M), (t1, y1, THICK_M), (t0, y1, THICK_M)], "marking", tile_m=TILE_M)
-        )
+        parts.append(bar((t0, t1), (y0, y1)))
     return parts

@@ -15,8 +15,8 @@ from synfog_usd.world.roads.lane_section import Lane
 from synfog_usd.world.roads.markings import THICK_M, TILE_M
 from synfog_usd.world.roads.roundabout import HOLD_M, ISLAND_EDGE_M, TAPER_M, ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.roads.structures import Built
-from synfog_usd.world.roads.surface import ASPHALT_TILE_M, bend, ribbon
-from synfog_usd.world.shapes import Part, disc, fan, shift, strip, tube, turn
+from synfog_usd.world.roads.surface import ASPHALT_TILE_M, bend, cover, gully, ribbon
+from synfog_usd.world.shapes import Part, fan, shift, strip, textured_from_above, tube, turn, untextured
 
 GIVE_WAY = ("teeth", "dashes")
 GIVE_WAY_M = 0.25
@@ -63,12 +63,8 @@ def _give_way(junction: Roundabout, arm: int, kind: str) -> list[Part]:
         if kind == "teeth":
             outline = [foot - 0.25 * across, foot + 0.25 * across, foot + long * out]
         else:
-            outline = [
-                foot - 0.3 * across,
-                foot + 0.3 * across,
-                foot + 0.3 * across + long * out,
-                foot - 0.3 * across + long * out,
-            ]
+            side, far = 0.3 * across, long * out
+            outline = [foot - side, foot + side, foot + side + far, foot - side + far]
         parts.append(fan([(t, s, THICK_M) for t, s in outline], "marking", tile_m=TILE_M))
     return parts
 
@@ -83,13 +79,7 @@ def _zebra(junction: Roundabout, arm: int) -> list[Part]:
         edge = float(min(junction.edge(arm, side, low), junction.edge(arm, side, high)))
         for t in side * np.arange(inner + 0.35, edge - 0.55, 1.0):
             a, b = sorted((t, t + side * 0.5))
-            parts.append(
-                fan(
-                    [(a, low, THICK_M), (b, low, THICK_M), (b, high, THICK_M), (a, high, THICK_M)],
-                    "marking",
-                    tile_m=TILE_M,
-                )
-            )
+            parts.append(markings.bar((a, b), (low, high)))
     return parts
 
 
@@ -100,17 +90,14 @@ def _lines(junction: Roundabout, arm: int) -> list[Part]:
     parts = []
     for side in (-1, 1):
         t = side * np.maximum(junction.spread(s) - 0.5 * LINE_M, 0.11)
-        parts.append(_paint(ribbon(np.c_[t, s], LINE_M, THICK_M, "marking")))
+        parts.append(textured_from_above(ribbon(np.c_[t, s], LINE_M, THICK_M, "marking"), TILE_M))
     for at in np.arange(tip + 2.2, end - 6.0, 2.4):  # slanting bars between them
         half = float(junction.spread(at)) - 0.22
         if half > 0.12:
-            parts.append(_paint(ribbon(np.array([(-half, at), (half, at + half)]), 0.25, THICK_M, "marking")))
+            slanting = ribbon(np.array([(-half, at), (half, at + half)]), 0.25, THICK_M, "marking")
+            parts.append(textured_from_above(slanting, TILE_M))
     dash = markings.painted_line(0.0, end + 10.0, junction.arms[arm].reference_line.length - 1.0, LINE_M, (3.0, 6.0))
     return parts + dash
-
-
-def _paint(part: Part) -> Part:
-    return Part(part.points, part.faces, "marking", part.points[:, :2] / TILE_M)
 
 
 def worn(junction: Roundabout, *, seed: int) -> list[Part]:
@@ -127,28 +114,14 @@ def worn(junction: Roundabout, *, seed: int) -> list[Part]:
             parts.append(bend(ribbon(np.c_[t, np.sqrt(far**2 - t * t)], 0.04, 0.0016, "tar"), road))
             for s in np.arange(far + rng.uniform(2, 10), road.reference_line.length - 1.0, 24.0):
                 x = side * (float(junction.spread(s)) + junction.lane_width - 0.22)
-                corners = [
-                    (x - 0.18, s - 0.25, 0.0026),
-                    (x + 0.18, s - 0.25, 0.0026),
-                    (x + 0.18, s + 0.25, 0.0026),
-                    (x - 0.18, s + 0.25, 0.0026),
-                ]
-                grate = bend(fan(corners, "iron"), road)
-                parts.append(
-                    Part(
-                        grate.points,
-                        grate.faces,
-                        "iron",
-                        np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]),
-                    )
-                )
+                parts.append(bend(gully(x, s), road))
         for s in np.arange(far + rng.uniform(4, 12), road.reference_line.length - 5, 31.0):
             t = rng.choice((-1, 1)) * (float(junction.spread(s)) + junction.lane_width / 2)
-            parts += [bend(part, road) for part in _cover(t, s)]
+            parts += [bend(part, road) for part in cover(t, s)]
     width = junction.radius - junction.inner
     for angle in rng.uniform(0, 2 * np.pi, 3):
         r = junction.inner + width * rng.uniform(0.3, 0.7)
-        parts += _cover(r * np.cos(angle), r * np.sin(angle))
+        parts += cover(r * np.cos(angle), r * np.sin(angle))
     for number in range(int(rng.integers(1, 4))):
         parts += _mended(junction, rng, 0.0011 + 0.0001 * number)  # they may cross
     for _ in range(9):
@@ -170,13 +143,9 @@ def _mended(junction: Roundabout, rng: np.random.Generator, height: float) -> li
     patch = strip([np.c_[rim, np.full(len(angle), height)] for rim in rims[::-1]], "asphalt_patch")
     seams = [*rims, np.array([rims[0][0], rims[1][0]]), np.array([rims[0][-1], rims[1][-1]])]
     return [
-        Part(patch.points, patch.faces, patch.material, patch.points[:, :2] / ASPHALT_TILE_M),
+        textured_from_above(patch, ASPHALT_TILE_M),
         *(ribbon(seam, 0.035, 0.0016, "tar") for seam in seams),
     ]
-
-
-def _cover(x: float, y: float) -> list[Part]:
-    return [disc((x, y, 0.0022), 0.43, "asphalt_patch", sides=24), disc((x, y, 0.0026), 0.33, "iron", sides=24)]
 
 
 # -- signs
@@ -196,7 +165,7 @@ def signs(junction: Roundabout) -> list[Built]:
             place = shift(*junction.stand(*road.reference_line.place(s, 0.0))) @ turn(road.reference_line.origin[2])
             pole = tube([(0, 0, -0.2), (0, 0, high + SIGN_M)], 0.03, "galvanised", sides=10)
             parts = [
-                Part(pole.points, pole.faces, pole.material, None, pole.normals),
+                untextured(pole),
                 *(part.moved(shift(0, 0, high)) for part in face),
             ]
             made.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))
@@ -229,24 +198,14 @@ def _round_arrows() -> list[Part]:
         rim = [np.c_[r * np.cos(a), r * np.sin(a)] for r in (0.14, 0.195)]
         parts.append(strip([np.c_[-p[:, 0], np.full(9, 0.056), p[:, 1]] for p in rim[::-1]], "sign_white"))
         tip, end = a[-1] + np.radians(34.0), a[-1]
-        parts.append(
-            _front(
-                [(r * np.cos(b), r * np.sin(b)) for r, b in ((0.245, end), (0.168, tip), (0.09, end))],
-                0.056,
-                "sign_white",
-            )
-        )
+        head = [(r * np.cos(b), r * np.sin(b)) for r, b in ((0.245, end), (0.168, tip), (0.09, end))]
+        parts.append(_front(head, 0.056, "sign_white"))
     return parts
 
 
 def _keep_right() -> list[Part]:
     """A white arrow down to the right."""
     along, side = np.array([np.sqrt(0.5), -np.sqrt(0.5)]), np.array([np.sqrt(0.5), np.sqrt(0.5)])
-    shaft = [
-        -0.2 * along - 0.035 * side,
-        0.06 * along - 0.035 * side,
-        0.06 * along + 0.035 * side,
-        -0.2 * along + 0.035 * side,
-    ]
+    shaft = [s * along + t * side for s, t in ((-0.2, -0.035), (0.06, -0.035), (0.06, 0.035), (-0.2, 0.035))]
     head = [0.06 * along - 0.12 * side, 0.22 * along, 0.06 * along + 0.12 * side]
     return [*_plate(), _front(shaft, 0.056, "sign_white"), _front(head, 0.056, "sign_white")]

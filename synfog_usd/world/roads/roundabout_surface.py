@@ -35,7 +35,7 @@ from synfog_usd.world.roads.roundabout import (
     Roundabout,
 )
 from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, PAVING_TILE_M, WORN, bend
-from synfog_usd.world.shapes import Array, Part, strip
+from synfog_usd.world.shapes import Array, Part, strip, textured_from_above
 
 LOOKS = {"setts": Material((0.52, 0.49, 0.47), texture="paving.jpg", roughness=0.75)}
 """Materials that only roundabouts have: the apron's setts, the slabs' texture at a quarter of its size."""
@@ -89,11 +89,6 @@ def _kerb(points: Array, normals: Array, height: npt.ArrayLike, base: float = 0.
     return swept(points, normals, (0.0, 0.0, 0.006, 0.02, BEHIND_KERB_M), heights, "kerb", tile_m=1.0)
 
 
-def _flat(part: Part, tile_m: float) -> Part:
-    """Textured from above."""
-    return Part(part.points, part.faces, part.material, part.points[:, :2] / tile_m)
-
-
 def _whole(part: Part) -> Part:
     """Without triangles of no area."""
     a, b, c = (part.points[part.faces[:, i]] for i in range(3))
@@ -125,7 +120,7 @@ def _disc(junction: Roundabout, asphalt: Asphalt) -> Part:
     loops = [np.c_[np.cos(angle) * r, np.sin(angle) * r, np.zeros(len(angle))] for r in radius]
     sheet = strip(loops[::-1], asphalt.lane if asphalt.lane != "asphalt_lane" else "asphalt", closed=True)
     u, _ = junction.across(sheet.points[:, 0], sheet.points[:, 1])
-    return _flat(
+    return textured_from_above(
         Part(sheet.points, sheet.faces[(u[sheet.faces] < 3 * UNDER_M).any(axis=1)], sheet.material), ASPHALT_TILE_M
     )
 
@@ -152,8 +147,8 @@ def _arm(junction: Roundabout, arm: int, asphalt: Asphalt) -> list[Part]:
     for pair, ends in (((0, 1), (u1, u0)), ((3, 4), (u0, u1))):
         uv = [np.c_[ends, row[list(pair)] / LANE_TEXTURE_LENGTH_M + 0.41 * pair[0] + 0.17 * arm] for row in s]
         lane = _whole(strip([row[list(pair)] for row in points], asphalt.lane, uv=uv))
-        lanes.append(lane if asphalt.lane == "asphalt_lane" else _flat(lane, ASPHALT_TILE_M))
-    return [*lanes, _flat(_whole(strip([row[1:4] for row in points], "asphalt")), ASPHALT_TILE_M)]
+        lanes.append(lane if asphalt.lane == "asphalt_lane" else textured_from_above(lane, ASPHALT_TILE_M))
+    return [*lanes, textured_from_above(_whole(strip([row[1:4] for row in points], "asphalt")), ASPHALT_TILE_M)]
 
 
 def _water(junction: Roundabout, asphalt: Asphalt, seed: int) -> list[Part]:
@@ -222,7 +217,7 @@ def _splitter(junction: Roundabout, arm: int, low: float, high: float) -> list[P
     n = len(s)
     left, right = inner[:n], inner[n : 2 * n][::-1]
     rows = [np.c_[[a, b], [KERB_M, KERB_M]] for a, b in zip(left, right, strict=True)]
-    return [_kerb(points, normals, KERB_M), _flat(strip(rows, "paving"), PAVING_TILE_M)]
+    return [_kerb(points, normals, KERB_M), textured_from_above(strip(rows, "paving"), PAVING_TILE_M)]
 
 
 def _middle(junction: Roundabout) -> tuple[list[Part], Part, Part]:
@@ -235,12 +230,16 @@ def _middle(junction: Roundabout) -> tuple[list[Part], Part, Part]:
     if junction.apron:
         across = (0.0, 0.0, 0.03, junction.apron + 0.05)
         heights = (-0.02, APRON_LIP_M - 0.01, APRON_LIP_M, APRON_TOP_M)
-        apron.append(_flat(swept(junction.inner * round_, -round_, across, heights, "setts", tile_m=1.0), SETTS_TILE_M))
+        apron.append(
+            textured_from_above(
+                swept(junction.inner * round_, -round_, across, heights, "setts", tile_m=1.0), SETTS_TILE_M
+            )
+        )
     kerb = _kerb(junction.island * round_, -round_, KERB_M, junction.island_base)
     radius = np.linspace(junction.island - BEHIND_KERB_M, 0.02, max(6, round(junction.island / 0.6)))
     height = junction.middle(np.minimum(radius, junction.island - 1e-9))
     loops = [np.c_[r * round_, np.full(len(angle), h)] for r, h in zip(radius, height, strict=True)]
-    return apron, kerb, _flat(strip(loops[::-1], "grass"), GRASS_TILE_M)
+    return apron, kerb, textured_from_above(strip(loops[::-1], "grass"), GRASS_TILE_M)
 
 
 # -- land
@@ -303,7 +302,7 @@ def ground(junction: Roundabout, horizon: Horizon) -> list[Part]:
     u, _ = junction.across(points[:, 0], points[:, 1])
     z = junction.open_land(points[:, 0], points[:, 1], u) + horizon.relief(points[:, 0], points[:, 1], u)
     z[:fixed] = LAND_M
-    return horizon.sown(_flat(Part(np.c_[points, z], faces, "grass"), GRASS_TILE_M))
+    return horizon.sown(textured_from_above(Part(np.c_[points, z], faces, "grass"), GRASS_TILE_M))
 
 
 # -- plants that are sown

@@ -40,13 +40,8 @@ RAYS = ((-0.4, 0.5), (0.0, 0.5), (0.4, 0.5), (-0.4, 0.9), (0.0, 0.9), (0.4, 0.9)
 @functools.cache
 def names() -> tuple[str, ...]:
     """Models of the library."""
-    return tuple(
-        sorted(
-            path.name
-            for path in (resources.folder("assets") / "models").iterdir()
-            if (path / f"{path.name}.usda").exists()
-        )
-    )
+    folders = (resources.folder("assets") / "models").iterdir()
+    return tuple(sorted(path.name for path in folders if (path / f"{path.name}.usda").exists()))
 
 
 @functools.cache
@@ -61,9 +56,9 @@ def model(name: str) -> library.LibraryModel:
     return library.read(resources.folder("assets") / "models" / name / f"{name}.usda")
 
 
-def prim_group(found: library.LibraryModel) -> str:
+def prim_group(kind: library.LibraryModel) -> str:
     """Name of the group prim that a model goes to."""
-    return GROUPS.get(found.group, "Furniture")
+    return GROUPS.get(kind.group, "Furniture")
 
 
 def facing(heading: float) -> float:
@@ -74,13 +69,17 @@ def facing(heading: float) -> float:
 @functools.cache
 def foot(name: str) -> tuple[float, float, float, float]:
     """Box that a model takes up on the ground in its own axes: low x, low y, high x, high y [m]."""
-    found = model(name)
-    half = FOOT_M.get(found.group) if found.length < LONG_M or found.group in ("lamp", "sign") else None
-    if found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
+    kind = model(name)
+    half = FOOT_M.get(kind.group) if kind.length < LONG_M or kind.group in ("lamp", "sign") else None
+    if _is_tree(kind):
         half = TRUNK_M
     if half is not None:
         return -half, -half, half, half
-    return found.low[0], found.low[1], found.high[0], found.high[1]
+    return kind.low[0], kind.low[1], kind.high[0], kind.high[1]
+
+
+def _is_tree(kind: library.LibraryModel) -> bool:
+    return kind.group == "plant" and kind.high[2] > TREE_HEIGHT_M
 
 
 def footprint(p: Placement) -> Array:
@@ -114,21 +113,15 @@ class CollisionSet:
 
     def free(self, p: Placement, margin: float = 0.1) -> bool:
         """Whether a placement keeps `margin` [m] from all others."""
-        found = model(p.asset)
-        if found.group == "lamp" and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.trunks):
-            return False
-        if (
-            found.group == "plant"
-            and found.high[2] > TREE_HEIGHT_M
-            and any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in self.lamps)
-        ):
+        kind = model(p.asset)
+        apart = self.trunks if kind.group == "lamp" else self.lamps if _is_tree(kind) else []
+        if any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in apart):
             return False
         return self.free_outline(footprint(p), margin)
 
     def free_outline(self, corners: Array, margin: float) -> bool:
         """Whether a rectangle of (4, 2) corners keeps `margin` [m] from all others."""
-        # all of them at a time: a set that grows by one would build its STRtree anew for each question, which costs as
-        # much
+        # all at a time: an STRtree would have to be built anew for each question
         return not bool(shapely.dwithin(shapely.Polygon(corners), self.prints, margin).any())
 
     def take(self, p: Placement, margin: float = 0.1) -> bool:
@@ -141,10 +134,10 @@ class CollisionSet:
     def add(self, p: Placement) -> None:
         """Take the place of a placement, whatever stands there."""
         self.add_outline(footprint(p))
-        found = model(p.asset)
-        if found.group == "lamp":
+        kind = model(p.asset)
+        if kind.group == "lamp":
             self.lamps.append((p.x, p.y))
-        elif found.group == "plant" and found.high[2] > TREE_HEIGHT_M:
+        elif _is_tree(kind):
             self.trunks.append((p.x, p.y))
 
     def add_outline(self, corners: Array) -> None:
@@ -157,6 +150,27 @@ class CollisionSet:
 
 
 # -- sight
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """What blocks sight: placements, their (4, 2) outlines [m], heights from and to [m], and for a quick look the
+    outlines' middles seen from the eye (N, 2) and radii (N,) [m].
+    """
+
+    placed: list[Placement]
+    outlines: list[Array]
+    heights: list[tuple[float, float]]
+    middles: Array
+    radii: Array
+
+    @classmethod
+    def of(cls, placed: list[Placement], eye: Array) -> _Blocks:
+        outlines = [footprint(p) for p in placed]
+        heights = [(p.z, p.z + model(p.asset).high[2] * p.size) for p in placed]
+        middles = np.array([outline.mean(axis=0) - eye[:2] for outline in outlines]).reshape(-1, 2)
+        radii = np.array([np.hypot(*(outline - outline.mean(axis=0)).T).max() for outline in outlines])
+        return cls(placed, outlines, heights, middles, radii)
 
 
 def visible_shares(
@@ -173,53 +187,48 @@ def visible_shares(
     eye = np.array([view.x, view.y, view.z])
     forward = math.radians(view.heading)
     ahead, right = np.array([-math.sin(forward), math.cos(forward)]), np.array([math.cos(forward), math.sin(forward)])
-    users, blocks = [], []
+    users, blocking = [], []
     for p in placed:
-        found = model(p.asset)
         away = np.array([p.x, p.y]) - eye[:2]
         distance = float(np.hypot(*away))
         if distance > within_m + 20:
             continue
-        if found.label in (*USERS, "building", "wall") or (found.group == "furniture" and found.width > 1.5):
-            blocks.append((p, footprint(p), p.z, p.z + found.high[2] * p.size))
-        if found.label in USERS and distance <= within_m:
+        kind = model(p.asset)
+        if kind.label in (*USERS, "building", "wall") or (kind.group == "furniture" and kind.width > 1.5):
+            blocking.append(p)
+        if kind.label in USERS and distance <= within_m:
             depth, side = float(away @ ahead), float(away @ right)
             if depth > 2.0 and abs(side) < depth * math.tan(math.radians(fov_x_deg) / 2):
-                users.append((p, found, distance))
-    result = {}
-    middles = np.array([prints.mean(axis=0) - eye[:2] for _, prints, _, _ in blocks]).reshape(-1, 2)
-    radii = np.array([np.hypot(*(prints - prints.mean(axis=0)).T).max() for _, prints, _, _ in blocks])
-    for p, found, distance in users:
-        across = np.array([-(p.y - eye[1]), p.x - eye[0]]) / distance
-        corners = footprint(p) - (p.x, p.y)
-        half = float(np.abs(corners @ across).max())
-        ends = np.array(
-            [
-                (p.x + u * half * across[0], p.y + u * half * across[1], p.z + v * found.high[2] * p.size)
-                for u, v in RAYS
-            ]
-        )
-        clear = np.ones(len(ends), dtype=bool)
-        sight = np.array([p.x - eye[0], p.y - eye[1]]) / distance
-        beside = np.abs(middles @ np.array([-sight[1], sight[0]])) < radii + half + 0.1
-        for index in np.flatnonzero(beside & (middles @ sight < distance + radii)):
-            other, prints, low, high = blocks[index]
-            if (
-                other is p
-                or (found.label == "rider" and model(other.asset).label == "bicycle")
-                or (found.label == "bicycle" and model(other.asset).label == "rider")
-            ):
-                continue
-            clear &= ~_blocked(eye, ends, prints, low, high)
-            if not clear.any():
-                break
-        if clear.any():
-            share = np.linspace(0.05, 0.93, 14)
-            points = eye + share[None, :, None] * (ends - eye)[:, None, :]
-            ground = road.height(points[..., 0], points[..., 1])
-            clear &= ~(points[..., 2] < ground - 0.02).any(axis=1)
-        result[p.name] = float(clear.mean())
-    return result
+                users.append(p)
+    blocks = _Blocks.of(blocking, eye)
+    return {p.name: _visible_share(p, eye, blocks, road) for p in users}
+
+
+def _visible_share(p: Placement, eye: Array, blocks: _Blocks, road: Road) -> float:
+    """Share of the rays from the eye to a road user that nothing blocks."""
+    user = model(p.asset)
+    away = np.array([p.x - eye[0], p.y - eye[1]])
+    distance = float(np.hypot(*away))
+    across = np.array([-away[1], away[0]]) / distance
+    half = float(np.abs((footprint(p) - (p.x, p.y)) @ across).max())
+    ends = np.array(
+        [(p.x + u * half * across[0], p.y + u * half * across[1], p.z + v * user.high[2] * p.size) for u, v in RAYS]
+    )
+    clear = np.ones(len(ends), dtype=bool)
+    sight = away / distance
+    near = np.abs(blocks.middles @ np.array([-sight[1], sight[0]])) < blocks.radii + half + 0.1
+    for index in np.flatnonzero(near & (blocks.middles @ sight < distance + blocks.radii)):
+        block = blocks.placed[index]
+        if block is p or {user.label, model(block.asset).label} == {"rider", "bicycle"}:
+            continue
+        clear &= ~_blocked(eye, ends, blocks.outlines[index], *blocks.heights[index])
+        if not clear.any():
+            return 0.0
+    share = np.linspace(0.05, 0.93, 14)
+    points = eye + share[None, :, None] * (ends - eye)[:, None, :]
+    ground = road.height(points[..., 0], points[..., 1])
+    clear &= ~(points[..., 2] < ground - 0.02).any(axis=1)
+    return float(clear.mean())
 
 
 def _blocked(eye: Array, ends: Array, corners: Array, low: float, high: float) -> npt.NDArray[np.bool_]:

@@ -9,12 +9,13 @@ plain OpenUSD.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from synfog_usd.base.seeds import stream
 from synfog_usd.world import authoring, lamps
@@ -79,46 +80,43 @@ def _without_placements(path: Path, spec: WorldSpec, assets: str) -> Sdf.Layer:
     for many in kind.instanced(spec, spec.road):
         authoring.author_instancer(stage, many.path, many.asset, many.label, many.points, many.turns, assets)
     _author_lights(stage, spec, assets)
-    authoring.author_variants(
-        stage, spec
-    )  # early, because each choice of a variant composes what stands there by then again
+    authoring.author_variants(stage, spec)  # early: each choice of a variant composes again what stands there
     author_lanes(stage, spec)
     _author_built(stage, spec, assets)
     authoring.author_render(stage)
     if spec.products:
-        authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{one.name}" for one in spec.rig)])
+        authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{eye.name}" for eye in spec.rig)])
     return Sdf.Layer.FindOrOpen(stage.GetRootLayer().identifier)  # a stage's own hold on it ends with the stage
 
 
 def built(spec: WorldSpec) -> list[Built]:
     """Everything that is made for this world alone, by name."""
-    made: list[Built] = KINDS[type(spec.road)].built(spec, spec.road)
-    return made
+    return list(KINDS[type(spec.road)].built(spec, spec.road))
 
 
 def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     kind = KINDS[type(spec.road)]
-    things, sown = built(spec), [s for s in kind.scatters(spec, spec.road) if s is not None and len(s.points)]
-    if not things and not sown:
+    solid, sown = built(spec), [s for s in kind.scatters(spec, spec.road) if s is not None and len(s.points)]
+    if not solid and not sown:
         return
     root = UsdGeom.Xform.Define(stage, "/World/Road").GetPrim()
     Usd.ModelAPI(root).SetKind(Kind.Tokens.group)
     materials = Sdf.Path("/World/Road/Materials")
     UsdGeom.Scope.Define(stage, materials)
-    known: dict[str, UsdShade.Material] = {}
-    made = asphalt.looks(spec.built["asphalt"], LOOKS)
+    authored: dict[str, UsdShade.Material] = {}
+    paved = asphalt.looks(spec.built["asphalt"], LOOKS)
 
     def bind(prim: Usd.Prim, name: str) -> None:
-        if name not in known:
-            look = made.get(name) or LOOKS.get(name) or PALETTE[name]
-            known[name] = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
-        UsdShade.MaterialBindingAPI.Apply(prim).Bind(known[name])
+        if name not in authored:
+            look = paved.get(name) or LOOKS.get(name) or PALETTE[name]
+            authored[name] = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(authored[name])
 
-    for thing in things:
-        prim = UsdGeom.Xform.Define(stage, f"/World/Road/{thing.name}").GetPrim()
+    for structure in solid:
+        prim = UsdGeom.Xform.Define(stage, f"/World/Road/{structure.name}").GetPrim()
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
-        label(prim, thing.label)
-        for name, part in by_material(thing.parts).items():
+        label(prim, structure.label)
+        for name, part in by_material(structure.parts).items():
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
     for scatter in sown:
         _author_scatter(stage, scatter, bind, assets)
@@ -145,16 +143,12 @@ def author_lanes(stage: Usd.Stage, spec: WorldSpec) -> None:
 
 def _small(part: Part) -> Part:
     """Coordinates to the millimetre, texture coordinates to a thousandth: less to store."""
-    return Part(
-        np.round(part.points, 4),
-        part.faces,
-        part.material,
-        None if part.uv is None else np.round(part.uv, 3),
-        part.normals,
-    )
+    return replace(part, points=np.round(part.points, 4), uv=None if part.uv is None else np.round(part.uv, 3))
 
 
-def _author_scatter(stage: Usd.Stage, scatter: horizon.Scatter, bind: object, assets: str) -> None:
+def _author_scatter(
+    stage: Usd.Stage, scatter: horizon.Scatter, bind: Callable[[Usd.Prim, str], None], assets: str
+) -> None:
     path = f"/World/Road/{scatter.name}"
     instancer = UsdGeom.PointInstancer.Define(stage, path)
     UsdGeom.Scope.Define(stage, f"{path}/Prototypes")
@@ -165,7 +159,7 @@ def _author_scatter(stage: Usd.Stage, scatter: horizon.Scatter, bind: object, as
         prototype = UsdGeom.Xform.Define(stage, f"{path}/Prototypes/One")
         for part in scatter.parts:
             mesh = author_mesh(stage, prototype.GetPath().AppendChild(part.material), part)
-            bind(mesh.GetPrim(), part.material)  # type: ignore[operator]
+            bind(mesh.GetPrim(), part.material)
         targets.append(prototype.GetPath())
     for number, (asset, variants) in enumerate(scatter.models, 1):
         prim = stage.DefinePrim(f"{path}/Prototypes/{asset.title()}_{number}", "Xform")
@@ -176,10 +170,7 @@ def _author_scatter(stage: Usd.Stage, scatter: horizon.Scatter, bind: object, as
     instancer.CreatePrototypesRel().SetTargets(targets)
     instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(which.astype(np.int32)))
     instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(np.round(scatter.points, 3).astype(np.float32)))
-    half = np.deg2rad(scatter.turns) / 2
-    instancer.CreateOrientationsAttr(
-        Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
-    )
+    instancer.CreateOrientationsAttr(authoring.upright(scatter.turns))
     instancer.CreateScalesAttr(
         Vt.Vec3fArray.FromNumpy(np.repeat(np.round(scatter.sizes, 3)[:, None], 3, axis=1).astype(np.float32))
     )
@@ -201,21 +192,18 @@ def headlights(view: View, ground: float) -> Iterable[tuple[str, Array]]:
 @functools.cache
 def panes(asset: str) -> Mapping[str, tuple[Array, Array]]:
     """Panes of a building by material: (K, 4, 3) corners [m] and (K, 4, 2) texture coordinates."""
-    found: dict[str, tuple[Array, Array]] = {}
+    by_name: dict[str, tuple[Array, Array]] = {}
     layer = Sdf.Layer.FindOrOpen(str(model(asset).path.with_suffix(".geo.usdc")))
     if layer is None:
-        return found
+        return by_name
     for name in LIT_LOOK:
         mesh = layer.GetPrimAtPath(f"/Geometry/{name}")
         if not mesh or "points" not in mesh.attributes or "primvars:st" not in mesh.attributes:
             continue
-        points, st = (
-            np.array(mesh.attributes["points"].default, dtype=np.float64),
-            np.array(mesh.attributes["primvars:st"].default, dtype=np.float64),
-        )
+        points, st = (np.array(mesh.attributes[key].default, dtype=np.float64) for key in ("points", "primvars:st"))
         if len(points) % 4 == 0:
-            found[name] = (points.reshape(-1, 4, 3), st.reshape(-1, 4, 2))
-    return found
+            by_name[name] = (points.reshape(-1, 4, 3), st.reshape(-1, 4, 2))
+    return by_name
 
 
 def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
@@ -233,12 +221,13 @@ def _author_lights(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
             for name, front in _lit(p, lit, rng):
                 fronts[name].append(front)
     materials = Sdf.Path("/World/Lights/Materials")
-    for name, found in fronts.items():
-        if not found:
+    for name, lit_panes in fronts.items():
+        if not lit_panes:
             continue
         title, picture, nits = LIT_LOOK[name]
         UsdGeom.Scope.Define(stage, materials)
-        part = quads(np.concatenate([corners for corners, _ in found]), title, np.concatenate([uv for _, uv in found]))
+        corners, uv = (np.concatenate(arrays) for arrays in zip(*lit_panes, strict=True))
+        part = quads(corners, title, uv)
         mesh = author_mesh(stage, Sdf.Path(f"/World/Lights/{title}"), part)
         look = Material((0.02, 0.02, 0.02), 0.05, emission=(nits, nits, nits), emission_texture=picture)
         material = author_material(stage, materials.AppendChild(title), look, textures=f"{assets}/textures/")

@@ -13,7 +13,7 @@ import numpy as np
 from synfog_usd.world.lettering import letters
 from synfog_usd.world.roads.network import AT_PORTAL, Road
 from synfog_usd.world.roads.surface import bend, sweep
-from synfog_usd.world.shapes import Array, Part, box, fan, quad, soft_box, strip, tube
+from synfog_usd.world.shapes import Array, Part, box, fan, quad, soft_box, strip, tube, untextured
 from synfog_usd.world.spec import Placement, View
 
 RAIL_TOP_M = 0.75
@@ -90,12 +90,11 @@ def guard_rail(road: Road, t: float, side: int, low: float, high: float, name: s
         parts.append(
             bend(box((a, s - 0.05, base - 0.15), (b, s + 0.05, base + 0.70), "galvanised", bottom=False), road)
         )
-    return Built(name, "guard rail", tuple(_plain(part) for part in parts))
+    return Built(name, "guard rail", tuple(untextured(part) for part in parts))
 
 
 def delineators(road: Road, low: float, high: float) -> list[Built]:
     """White posts 1 m high every 50 m on both sides, with a black band and reflectors."""
-    made = []
     edges = (road.lane_section.low, road.lane_section.high)
     verges = [lane for lane in road.lane_section.of("verge")]
     if verges:
@@ -104,32 +103,16 @@ def delineators(road: Road, low: float, high: float) -> list[Built]:
     for s in np.arange(low + 12.0, high, DELINEATOR_M):
         for t in edges:
             base = float(road.lane_section.height(t))
-            parts += [
-                bend(
-                    soft_box(
-                        (t - 0.06, s - 0.05, base - 0.2), (t + 0.06, s + 0.05, base + 0.72), "post_white", radius=0.03
-                    ),
-                    road,
-                ),
-                bend(
-                    soft_box(
-                        (t - 0.061, s - 0.051, base + 0.72),
-                        (t + 0.061, s + 0.051, base + 0.90),
-                        "gloss_black",
-                        radius=0.03,
-                    ),
-                    road,
-                ),
-                bend(
-                    soft_box(
-                        (t - 0.06, s - 0.05, base + 0.90), (t + 0.06, s + 0.05, base + 1.02), "post_white", radius=0.03
-                    ),
-                    road,
-                ),
-                bend(box((t - 0.025, s - 0.056, base + 0.74), (t + 0.025, s - 0.052, base + 0.88), "reflective"), road),
-            ]
-    made.append(Built("Delineators", "pole", tuple(_plain(part) for part in parts)))
-    return made
+            for material, out, z0, z1 in (
+                ("post_white", 0.0, -0.2, 0.72),
+                ("gloss_black", 0.001, 0.72, 0.90),
+                ("post_white", 0.0, 0.90, 1.02),
+            ):
+                across, along = 0.06 + out, 0.05 + out
+                corners = (t - across, s - along, base + z0), (t + across, s + along, base + z1)
+                parts.append(soft_box(*corners, material, radius=0.03))
+            parts.append(box((t - 0.025, s - 0.056, base + 0.74), (t + 0.025, s - 0.052, base + 0.88), "reflective"))
+    return [Built("Delineators", "pole", tuple(untextured(bend(part, road)) for part in parts))]
 
 
 def bridge(road: Road) -> list[Built]:
@@ -166,7 +149,7 @@ def bridge(road: Road) -> list[Built]:
             rails.append(
                 bend(box((t - 0.03, s - 0.03, base), (t + 0.03, s + 0.03, base + 1.0), "railing", bottom=False), road)
             )
-    return [Built("Deck", "bridge", tuple(deck)), Built("Railing", "fence", tuple(_plain(part) for part in rails))]
+    return [Built("Deck", "bridge", tuple(deck)), Built("Railing", "fence", tuple(untextured(part) for part in rails))]
 
 
 def _bar(road: Road, t: float, h: float, radius: float, low: float, high: float) -> Part:
@@ -226,10 +209,10 @@ def tunnel(road: Road) -> list[Built]:
         Built(
             "Lining",
             "tunnel",
-            tuple(_plain(p) if p.material == "tunnel_dark" else p for p in (inside, collar, bend(closed, road))),
+            tuple(untextured(p) if p.material == "tunnel_dark" else p for p in (inside, collar, bend(closed, road))),
         ),
         Built("Portal", "wall", tuple(face)),
-        Built("Tunnel_Lamps", "static", tuple(_plain(part) for part in lamps)),
+        Built("Tunnel_Lamps", "static", tuple(untextured(part) for part in lamps)),
     ]
     return marks
 
@@ -262,7 +245,7 @@ def gantry(road: Road, s: float, number: int) -> Built:
         t = lane.middle
         back = soft_box((t - 1.55, s - 0.52, 5.75), (t + 1.55, s - 0.42, 7.95), "sign_back", radius=0.06)
         parts += [back, _face(t, s - 0.525, 1.5, 5.8, 7.9, "board_blue"), *_board(t, s - 0.53, number + k)]
-    return Built(f"Gantry_{number}", "traffic sign", tuple(_plain(bend(part, road)) for part in parts))
+    return Built(f"Gantry_{number}", "traffic sign", tuple(untextured(bend(part, road)) for part in parts))
 
 
 def _face(t: float, s: float, half: float, low: float, high: float, material: str) -> Part:
@@ -288,8 +271,3 @@ def _board(t: float, s: float, number: int) -> list[Part]:
     for side in (-1, 1):
         parts.append(_face(t + side * 1.44, s, 0.02, 5.84, 7.86, "board_white"))
     return parts
-
-
-def _plain(part: Part) -> Part:
-    """Without texture coordinates, for materials without a texture."""
-    return Part(part.points, part.faces, part.material, None, part.normals)

@@ -17,7 +17,7 @@ from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M,
 from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
 from synfog_usd.world.roads.lane_section import KERB_M, RAISED, Lane
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.shapes import Array, Part, disc, fan, strip
+from synfog_usd.world.shapes import Array, Part, disc, rectangle, strip, textured_from_above
 
 WORN = Asphalt()
 FINE_M, COARSE_M = 1.0, 4.0
@@ -58,25 +58,25 @@ def surface(road: Road, *, seed: int, asphalt: Asphalt = WORN) -> dict[str, list
     """Cityscapes label -> parts of everything between the road's two edges, markings apart."""
     rng = stream(seed, "road", "asphalt")
     angle, begin, flipped = rng.uniform(0, 2 * np.pi), rng.uniform(0, 1, 2), bool(rng.random() < 0.5)
-    found: dict[str, list[Part]] = {"road": [], "sidewalk": [], "terrain": []}
+    parts: dict[str, list[Part]] = {"road": [], "sidewalk": [], "terrain": []}
     for index, lane in enumerate(road.lane_section.lanes):
         kind = lane.kind
         if kind in ("lane", "bus"):
             if asphalt.lane == "asphalt_lane":
-                found["road"].append(_lane(road, lane, index, float(begin[0]), flipped))
+                parts["road"].append(_lane(road, lane, index, float(begin[0]), flipped))
             else:
-                found["road"].append(_turned(road, lane, asphalt.lane, float(angle), begin + 0.31 * index))
+                parts["road"].append(_turned(road, lane, asphalt.lane, float(angle), begin + 0.31 * index))
         elif kind in ("parking", "shoulder", "cycle"):
-            found["road"].append(_turned(road, lane, "asphalt", float(angle), begin + 0.31 * index))
+            parts["road"].append(_turned(road, lane, "asphalt", float(angle), begin + 0.31 * index))
         elif kind in ("pavement", "island"):
-            found["sidewalk"].append(_flat(road, lane, "paving", PAVING_TILE_M))
+            parts["sidewalk"].append(_flat(road, lane, "paving", PAVING_TILE_M))
         else:
-            found["terrain"].append(_flat(road, lane, "grass", GRASS_TILE_M, shift=0.37 * index))
-    found["sidewalk"] += [_kerb(road, t, side) for t, side in road.lane_section.kerbs()]
-    found["road"] += [
+            parts["terrain"].append(_flat(road, lane, "grass", GRASS_TILE_M, shift=0.37 * index))
+    parts["sidewalk"] += [_kerb(road, t, side) for t, side in road.lane_section.kerbs()]
+    parts["road"] += [
         bend(part, road) for part in (*_repairs(road, seed, REPAIRS[asphalt.kind]), *puddles(road, asphalt, seed=seed))
     ]
-    return {label: parts for label, parts in found.items() if parts}
+    return {label: of_label for label, of_label in parts.items() if of_label}
 
 
 def _turned(road: Road, lane: Lane, material: str, angle: float, begin: Array) -> Part:
@@ -93,21 +93,11 @@ def _lane(road: Road, lane: Lane, index: int, begin: float, flipped: bool) -> Pa
     """
     s = stations(road)
     way = -1.0 if flipped else 1.0
-    u0, u1 = (
-        LANE_TEXTURE_HALF_M / (2 * LANE_TEXTURE_HALF_M),
-        (LANE_TEXTURE_HALF_M + LANE_TEXTURE_LANE_M) / (2 * LANE_TEXTURE_HALF_M),
-    )
+    u0, u1 = 0.5, (LANE_TEXTURE_HALF_M + LANE_TEXTURE_LANE_M) / (2 * LANE_TEXTURE_HALF_M)
     if lane.way < 0:
         u0, u1 = u1, u0
-    uv = [
-        np.array(
-            [
-                (u0, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin),
-                (u1, way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin),
-            ]
-        )
-        for at in s
-    ]
+    along = [way * at / LANE_TEXTURE_LENGTH_M + 0.41 * index + begin for at in s]
+    uv = [np.array([(u0, v), (u1, v)]) for v in along]
     return bend(strip([np.array([(lane.low, at, 0.0), (lane.high, at, 0.0)]) for at in s], "asphalt_lane", uv=uv), road)
 
 
@@ -154,22 +144,16 @@ def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
         lane = driven[int(rng.integers(len(driven)))]
         width, long, s = rng.uniform(0.6, 1.6), rng.uniform(1.5, 14.0), rng.uniform(0, length - 20)
         t = rng.uniform(lane.low + 0.1, lane.high - 0.1 - width)
-        for part in _patch(t, s, width, long, "asphalt_patch" if rng.random() < 0.7 else "asphalt_old"):
-            parts.append(part)
+        parts += _patch(t, s, width, long, "asphalt_patch" if rng.random() < 0.7 else "asphalt_old")
     for _ in range(int(often * length / 9)):
         lane = driven[int(rng.integers(len(driven)))]
-        t, s, heading = (
-            rng.uniform(lane.low, lane.high),
-            rng.uniform(5, length - 10),
-            rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25),
-        )
+        t, s = rng.uniform(lane.low, lane.high), rng.uniform(5, length - 10)
+        heading = rng.choice([0.0, np.pi / 2]) + rng.normal(0, 0.25)
         points = [(t, s)]
         for _ in range(int(rng.integers(6, 26))):
             heading += rng.normal(0, 0.22)
-            t, s = (
-                float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high)),
-                s + 0.22 * np.sin(heading),
-            )
+            t = float(np.clip(t + 0.22 * np.cos(heading), driven[0].low, driven[-1].high))
+            s += 0.22 * np.sin(heading)
             points.append((t, s))
         path = np.array(points)
         if not any(road.lane_section.at(float(p)).kind in RAISED for p in path[:, 0]):  # type: ignore[union-attr]
@@ -178,37 +162,30 @@ def _repairs(road: Road, seed: int, often: float = 1.0) -> list[Part]:
         for s in np.arange(rng.uniform(5, 20), length - 5, 27.0):
             lane = driven[int(rng.integers(len(driven)))]
             t, at = lane.middle + rng.uniform(-0.9, 0.9), s + rng.uniform(-6, 6)
-            parts += [
-                disc((t, at, 0.0022), 0.43, "asphalt_patch", sides=24),
-                disc((t, at, 0.0026), 0.33, "iron", sides=24),
-            ]
+            parts += cover(t, at)
         for t, side in road.lane_section.kerbs():
-            for s in np.arange(rng.uniform(4, 18), length, 24.0):
-                x = t - side * 0.22
-                corners = [
-                    (x - 0.18, s - 0.25, 0.0026),
-                    (x + 0.18, s - 0.25, 0.0026),
-                    (x + 0.18, s + 0.25, 0.0026),
-                    (x - 0.18, s + 0.25, 0.0026),
-                ]
-                part = fan(corners, "iron")
-                parts.append(replace(part, uv=np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)])))
+            parts += [gully(t - side * 0.22, s) for s in np.arange(rng.uniform(4, 18), length, 24.0)]
     return parts
+
+
+def cover(t: float, s: float) -> list[Part]:
+    """A manhole's cover in its patch of asphalt."""
+    return [disc((t, s, 0.0022), 0.43, "asphalt_patch", sides=24), disc((t, s, 0.0026), 0.33, "iron", sides=24)]
+
+
+def gully(t: float, s: float) -> Part:
+    """A gully's grate."""
+    grate = rectangle((t - 0.18, s - 0.25), (t + 0.18, s + 0.25), 0.0026, "iron")
+    return replace(grate, uv=np.array([(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]))
 
 
 def _patch(t: float, s: float, width: float, long: float, material: str) -> list[Part]:
     """A mended trench, and the tar along its seams; cut every metre, so that it follows a bend."""
     at = np.linspace(s, s + long, max(2, int(long) + 1))
-    left, right = np.full(len(at), t), np.full(len(at), t + width)
-    parts = [
-        strip([np.array([(a, y, 0.0012), (b, y, 0.0012)]) for a, b, y in zip(left, right, at, strict=True)], material)
+    patch = strip([np.array([(t, y, 0.0012), (t + width, y, 0.0012)]) for y in at], material)
+    sides = [np.c_[np.full(len(at), x), at] for x in (t, t + width)]
+    ends = [np.array([(t, y), (t + width, y)]) for y in (s, s + long)]
+    return [
+        textured_from_above(patch, ASPHALT_TILE_M),
+        *(ribbon(edge, 0.035, 0.0016, "tar") for edge in (*sides, *ends)),
     ]
-    parts[0] = replace(parts[0], uv=parts[0].points[:, :2] / ASPHALT_TILE_M)
-    for edge in (
-        np.c_[left, at],
-        np.c_[right, at],
-        np.array([(t, s), (t + width, s)]),
-        np.array([(t, s + long), (t + width, s + long)]),
-    ):
-        parts.append(ribbon(edge, 0.035, 0.0016, "tar"))
-    return parts

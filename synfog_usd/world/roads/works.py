@@ -13,7 +13,7 @@ from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.road_props import in_structure
 from synfog_usd.world.roads.structures import Built
 from synfog_usd.world.roads.surface import bend
-from synfog_usd.world.shapes import Part, ball, box, fan, tube
+from synfog_usd.world.shapes import Part, ball, box, fan, tube, untextured
 from synfog_usd.world.spec import Placement
 
 WIDE_M, FROM_LANE_M = 1.5, 0.35
@@ -111,7 +111,7 @@ def built(road: Road, works: Works) -> Built:
     )
     for s in np.linspace(a - 0.25, b + 0.25, 4):
         parts += _cone(inner - works.side * 0.22, float(s), float(road.lane_section.height(inner - works.side * 0.22)))
-    return Built("Works", "static", tuple(_plain(bend(part, road)) for part in parts))
+    return Built("Works", "static", tuple(untextured(bend(part, road)) for part in parts))
 
 
 def _board(t: float, s: float, long: float, base: float, *, across: bool) -> list[Part]:
@@ -152,8 +152,3 @@ def _cone(t: float, s: float, base: float) -> list[Part]:
     ):
         parts.append(tube([(t, s, base + low), (t, s, base + high)], [radii[low], radii[high]], material, sides=12))
     return parts
-
-
-def _plain(part: Part) -> Part:
-    """Without texture coordinates, for materials without a texture."""
-    return Part(part.points, part.faces, part.material, None, part.normals)
