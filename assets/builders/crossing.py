@@ -22,7 +22,16 @@ from synfog_usd.base.seeds import stream
 from synfog_usd.world.components import Component
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.roads.crossing import TREE_X, Crossing
-from synfog_usd.world.roads.crossing_props import BUILT, VIEW, furniture, ground, houses, parked_bicycles, stood, trees
+from synfog_usd.world.roads.crossing_props import (
+    BUILT,
+    VIEW,
+    furniture,
+    ground,
+    houses,
+    parked_bicycles,
+    standing,
+    trees,
+)
 from synfog_usd.world.roads.recipe import posed
 from synfog_usd.world.roads.stage import author
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
@@ -81,7 +90,9 @@ def vehicles() -> list[Placement]:
     def put(asset: str, x: float, y: float, heading: float, paint: str, drives: bool = False) -> None:
         lit = {"lamps": "on" if y < 80 else "glow"} if drives else {}
         placed.append(
-            stood("Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, (x, y, heading), {"paint": paint}, lit)
+            standing(
+                "Vehicles", f"{asset.title()}_{len(placed) + 1:02d}", asset, (x, y, heading), {"paint": paint}, lit
+            )
         )
 
     put("hatchback", -1.80, 18.4, 180, "red", True)
@@ -164,14 +175,14 @@ def people() -> list[Placement]:
         ("man_walking", -11.8, -5.9, -85, "a"),
     ]
     placed = [
-        stood("People", f"Person_{i + 1:02d}", asset, (x, y, heading), {"outfit": outfit})
+        standing("People", f"Person_{i + 1:02d}", asset, (x, y, heading), {"outfit": outfit})
         for i, (asset, x, y, heading, outfit) in enumerate(rows)
     ]
     for i, (x, y, heading, outfit, colour) in enumerate(
         [(2.75, -24.2, 1.0, "a", "teal"), (-2.3, 42.0, 180.0, "b", "black")]
     ):
-        placed.append(stood("People", f"Rider_{i + 1}", "rider", (x, y, heading), {"outfit": outfit}))
-        placed.append(stood("Vehicles", f"Bicycle_{i + 1}", "bicycle", (x, y, heading), {"colour": colour}))
+        placed.append(standing("People", f"Rider_{i + 1}", "rider", (x, y, heading), {"outfit": outfit}))
+        placed.append(standing("Vehicles", f"Bicycle_{i + 1}", "bicycle", (x, y, heading), {"colour": colour}))
     placed += parked_bicycles()
     return placed
 

@@ -4,6 +4,6 @@
 recipes can say, and `reference` makes a page and a schema of it.  `roads` draws roads and junctions and
 sets everything in its place; `departments` parts the stage into layers.  `library` lists the models in
 assets/models, `skies` and `lamps` what gives light; `importer` adds models.  `shapes` makes triangles,
-`materials` says what they are made of, `components` writes them as USD.  What makes the shipped assets
-is no part of the package: `assets/builders`.
+`materials` has their looks, `components` writes them as USD.  `assets/builders`, beside the package, makes the
+shipped assets.
 """

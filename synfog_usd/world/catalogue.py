@@ -19,7 +19,7 @@ This page is made from the library itself: `python -m synfog_usd.world.reference
 
 def page() -> str:
     """Three tables: skies by brightness, lamps, reflectances."""
-    spectra_of = [[f"`{name}`", one.about, one.source] for name, one in spectra.TABLE.items()]
+    spectra_of = [[f"`{name}`", curve.about, curve.source] for name, curve in spectra.TABLE.items()]
     return "\n".join(
         (
             HEAD,

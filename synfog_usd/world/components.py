@@ -122,9 +122,9 @@ def write_component(component: Component, models: Path) -> Path:
     """Write the component below the folder `models`; gives its interface layer."""
     folder = models / component.name
     meshes = by_material(component.parts)
-    for individual, one in (("", component), *component.individuals.items()):
-        for level, file in _geometry_files(component.name, one, individual).items():
-            parts = by_material({"full": one.parts, "low": one.low, **one.afar}[level])
+    for suffix, individual in (("", component), *component.individuals.items()):
+        for level, file in _geometry_files(component.name, individual, suffix).items():
+            parts = by_material({"full": individual.parts, "low": individual.low, **individual.afar}[level])
             if not set(parts) <= set(meshes):
                 raise ValueError(f"{component.name}: {file} has other materials than the rest")
             write_whole(folder / file, functools.partial(_write_geometry, component, parts))
@@ -285,11 +285,11 @@ def _write_materials(component: Component, meshes: Mapping[str, Part], path: Pat
     stage.SetDefaultPrim(prim)
     looks = [look for choices in component.variants.values() for look in choices.values()]
     rebound = {mesh for look in looks for mesh in look.bindings}
-    others = [*(m for look in looks for m in look.bindings.values()), *component.low_bindings.values()]
+    worn = [*(m for look in looks for m in look.bindings.values()), *component.low_bindings.values()]
     materials = prim.GetPath().AppendChild("Materials")
     stage.OverridePrim(prim.GetPath().AppendChild("Geometry"))  # before the materials, as in the interface
     UsdGeom.Scope.Define(stage, materials)
-    for name in dict.fromkeys([*(n for n in meshes if n not in rebound), *others]):
+    for name in dict.fromkeys([*(n for n in meshes if n not in rebound), *worn]):
         author_material(
             stage,
             materials.AppendChild(name),
@@ -323,8 +323,8 @@ def _write_interface(component: Component, path: Path) -> None:
     files = _geometry_files(component.name, component)
     if not component.low and not component.individuals:
         scope.GetPrim().GetPayloads().AddPayload(f"./{files['full']}")
-    for name, other in component.labels.items():
-        label(stage.OverridePrim(scope.GetPath().AppendChild(name)), other)
+    for name, mesh_label in component.labels.items():
+        label(stage.OverridePrim(scope.GetPath().AppendChild(name)), mesh_label)
     for set_name, choices in component.variants.items():
         variants = prim.GetVariantSets().AddVariantSet(set_name)
         for variant, look in choices.items():
@@ -342,13 +342,13 @@ def _write_interface(component: Component, path: Path) -> None:
 
 def _author_individuals(stage: Usd.Stage, prim: Usd.Prim, component: Component) -> None:
     variants = prim.GetVariantSets().AddVariantSet("individual")
-    for name, one in (("a", component), *component.individuals.items()):
+    for name, individual in (("a", component), *component.individuals.items()):
         variants.AddVariant(name)
         variants.SetVariantSelection(name)
         with variants.GetVariantEditContext():
-            files = _geometry_files(component.name, one, "" if one is component else name)
-            if one.low:
-                _author_lod(stage, prim, one, files)
+            files = _geometry_files(component.name, individual, "" if individual is component else name)
+            if individual.low:
+                _author_lod(stage, prim, individual, files)
             else:
                 prim.GetChild("Geometry").GetPayloads().AddPayload(f"./{files['full']}")
     variants.SetVariantSelection("a")
@@ -387,8 +387,8 @@ def _author_look(stage: Usd.Stage, prim: Usd.Prim, look: Look) -> None:
 
 
 def _bind(stage: Usd.Stage, prim: Usd.Prim, mesh: str, material: str) -> None:
-    found = UsdShade.Material(stage.GetPrimAtPath(prim.GetPath().AppendPath(f"Materials/{material}")))
-    UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(prim.GetPath().AppendPath(f"Geometry/{mesh}"))).Bind(found)
+    bound = UsdShade.Material(stage.GetPrimAtPath(prim.GetPath().AppendPath(f"Materials/{material}")))
+    UsdShade.MaterialBindingAPI.Apply(stage.OverridePrim(prim.GetPath().AppendPath(f"Geometry/{mesh}"))).Bind(bound)
 
 
 def _author_image(

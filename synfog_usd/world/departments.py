@@ -62,7 +62,7 @@ def write_layers(path: Path, author: Callable[[Path], Sdf.Layer]) -> list[Path]:
     Raises:
         OutputError: they cannot be written.
     """
-    made = [path, *(file_of(path, department) for department in DEPARTMENTS)]
+    files = [path, *(file_of(path, department) for department in DEPARTMENTS)]
 
     def root(temporary: Path) -> None:
         layer = author(temporary)
@@ -78,7 +78,7 @@ def write_layers(path: Path, author: Callable[[Path], Sdf.Layer]) -> list[Path]:
             f"{path}: cannot be written ({str(error).split(' : ')[-1].strip()}); choose another output folder or free "
             f"some space"
         ) from error
-    return made
+    return files
 
 
 def file_of(path: Path, department: Department) -> Path:
@@ -90,11 +90,11 @@ def _put(parts: Sequence[tuple[Path, Sdf.Layer]]) -> None:
     """Write layers within each other, so that a disk that fills up at the last leaves the files of before."""
     if not parts:
         return
-    (path, layer), *others = parts
+    (path, layer), *rest = parts
 
     def write(temporary: Path) -> None:
         layer.Export(str(temporary))
-        _put(others)
+        _put(rest)
 
     write_whole(path, write)
 
@@ -135,9 +135,9 @@ def _move_variants(layer: Sdf.Layer, name: str, world: Sdf.PrimSpec) -> None:
     """The root layer keeps the set's name and the choice."""
     source = layer.GetPrimAtPath(WORLD)
     world.variantSetNameList.Prepend(name)
-    made = Sdf.VariantSetSpec(world, name)
+    target = Sdf.VariantSetSpec(world, name)
     for variant in source.variantSets[name].variantList:
         place = WORLD.AppendVariantSelection(name, variant.name)
-        Sdf.VariantSpec(made, variant.name)
+        Sdf.VariantSpec(target, variant.name)
         Sdf.CopySpec(layer, place, world.layer, place)
     del source.variantSets[name]

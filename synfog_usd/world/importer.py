@@ -1,8 +1,8 @@
 """A user's model becomes a component of the library: metres, Z up, front along +Y, on the ground, labelled.
 
 Takes a glTF, OBJ, PLY or USD file and a Cityscapes class.  Unit, up axis and front
-are taken from the file where it says them, guessed from the sizes that things of
-that class have where it does not, and told with the reason; each can be given.
+are taken from the file where it says them, and guessed from the sizes of such things
+where it does not; notes give the reason.  Each can be hints.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from synfog_usd.world.components import Component, write_component
 from synfog_usd.world.library import SIZES, LibraryModel
 from synfog_usd.world.library import read as read_model
 from synfog_usd.world.lod import with_low
-from synfog_usd.world.meshfiles import MOST_TEXTURE_PX, Found, read
+from synfog_usd.world.meshfiles import MOST_TEXTURE_PX, MeshFile, read
 from synfog_usd.world.shapes import Array, Part, by_material
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "dm": 0.1}
@@ -51,6 +51,39 @@ class Imported:
     triangles: tuple[int, int]
 
 
+@dataclass(frozen=True)
+class Hints:
+    """What the user says of a file: its unit, one of `UNITS`; its axes; its extent along the way it looks [m]."""
+
+    unit: str | None = None
+    up: str | None = None
+    front: str | None = None
+    length_m: float | None = None
+
+    def check(self, label: str) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            ParameterError: an unknown class, unit or axis, or two words that do not go together.
+        """
+        if label not in SIZES:
+            raise ParameterError(
+                f"--class {label}: not a class of things that can be imported; allowed are "
+                f"{', '.join(SIZES)}.{did_you_mean(label, SIZES)}"
+            )
+        if self.unit is not None and self.unit not in UNITS:
+            raise ParameterError(f"--unit {self.unit}: not a unit; allowed are {', '.join(UNITS)}")
+        for option, axis in (("--up", self.up), ("--front", self.front)):
+            if axis is not None and axis not in AXES:
+                raise ParameterError(f"{option} {axis}: not an axis; allowed are {', '.join(sorted(AXES))}")
+        if self.up and self.front and AXES[self.up][0] == AXES[self.front][0]:
+            raise ParameterError(f"--up {self.up} and --front {self.front} lie along the same axis")
+        if self.length_m is not None and not (math.isfinite(self.length_m) and self.length_m > 0):
+            raise ParameterError(f"--length {self.length_m}: not a length in metres above 0")
+        if self.length_m is not None and self.unit is not None:
+            raise ParameterError("--length and --unit: give one of them; the length says the scale already")
+
+
 def import_asset(
     file: Path,
     label: str,
@@ -78,7 +111,8 @@ def import_asset(
         StageError: the file cannot be read, is empty or too large.
         OutputError: the place is taken or cannot be written.
     """
-    _check(label, unit, up, front, length_m)
+    hints = Hints(unit, up, front, length_m)
+    hints.check(label)
     name = name or Tf.MakeValidIdentifier(file.stem.lower())
     if not Tf.IsValidIdentifier(name):
         raise ParameterError(
@@ -87,55 +121,42 @@ def import_asset(
     folder = out / name
     if folder.exists():
         raise OutputError(f"{folder}: there is a model of this name already; choose another --name or remove it")
-    found = read(file)
-    notes = list(found.notes)
-    parts = [
-        p
-        for p in (_cleaned(p, p.material in _textured(found)) for p in by_material(found.parts).values())
-        if len(p.faces)
-    ]
-    before, after = sum(len(p.faces) for p in found.parts), sum(len(p.faces) for p in parts)
-    if not parts:
-        raise StageError(f"{file}: all its triangles are without area; export the model as a mesh")
-    if after < before:
-        notes.append(f"cleaned: {before - after} of {before} triangles were double or without area")
-    points = np.concatenate([p.points for p in parts])
-    matrix = _placed(points, label, found, notes, unit=unit, up=up, front=front, length_m=length_m)
-    parts = [p.moved(matrix) for p in parts]
-    for picture, image in found.pictures.items():
+    source = read(file)
+    parts, notes = _clean_parts(file, source)
+    matrix, how = _placed(np.concatenate([p.points for p in parts]), label, source, hints)
+    for picture, image in source.pictures.items():
         write_whole(folder / "textures" / picture, lambda path, image=image: _save(image, path))
-    origin = {"source": f"imported from {file.name}", "licence": "not stated; that of the file it came from"}
-    about, looks = f"Imported from {file.name}.", found.materials
     component = with_low(
         Component(
-            name, label, tuple(parts), about, materials=looks, textures="./textures/", origin=origin, thumbnail=False
+            name,
+            label,
+            tuple(p.moved(matrix) for p in parts),
+            f"Imported from {file.name}.",
+            materials=source.materials,
+            textures="./textures/",
+            origin={"source": f"imported from {file.name}", "licence": "not stated; that of the file it came from"},
+            thumbnail=False,
         )
     )
-    model = read_model(write_component(component, out))
-    return Imported(model, tuple(notes), (component.triangles(), sum(len(p.faces) for p in component.low)))
+    written = read_model(write_component(component, out))
+    triangles = component.triangles(), sum(len(p.faces) for p in component.low)
+    return Imported(written, (*source.notes, *notes, *how), triangles)
 
 
-def _check(label: str, unit: str | None, up: str | None, front: str | None, length_m: float | None) -> None:
-    if label not in SIZES:
-        raise ParameterError(
-            f"--class {label}: not a class of things that can be imported; allowed are "
-            f"{', '.join(SIZES)}.{did_you_mean(label, SIZES)}"
-        )
-    if unit is not None and unit not in UNITS:
-        raise ParameterError(f"--unit {unit}: not a unit; allowed are {', '.join(UNITS)}")
-    for option, axis in (("--up", up), ("--front", front)):
-        if axis is not None and axis not in AXES:
-            raise ParameterError(f"{option} {axis}: not an axis; allowed are {', '.join(sorted(AXES))}")
-    if up and front and AXES[up][0] == AXES[front][0]:
-        raise ParameterError(f"--up {up} and --front {front} lie along the same axis")
-    if length_m is not None and not (math.isfinite(length_m) and length_m > 0):
-        raise ParameterError(f"--length {length_m}: not a length in metres above 0")
-    if length_m is not None and unit is not None:
-        raise ParameterError("--length and --unit: give one of them; the length says the scale already")
+def _clean_parts(file: Path, source: MeshFile) -> tuple[list[Part], list[str]]:
+    """The parts of a file, one for each material, without useless triangles; and a note on those.
 
-
-def _textured(found: Found) -> set[str]:
-    return {name for name, look in found.materials.items() if look.texture}
+    Raises:
+        StageError: nothing is left.
+    """
+    textured = {name for name, look in source.materials.items() if look.texture}
+    cleaned = (_cleaned(p, p.material in textured) for p in by_material(source.parts).values())
+    parts = [p for p in cleaned if len(p.faces)]
+    before, after = sum(len(p.faces) for p in source.parts), sum(len(p.faces) for p in parts)
+    if not parts:
+        raise StageError(f"{file}: all its triangles are without area; export the model as a mesh")
+    lost = [f"cleaned: {before - after} of {before} triangles were double or without area"] if after < before else []
+    return parts, lost
 
 
 def _cleaned(part: Part, textured: bool) -> Part:
@@ -163,93 +184,83 @@ def _cleaned(part: Part, textured: bool) -> Part:
     )
 
 
-def _placed(
-    points: Array,
-    label: str,
-    found: Found,
-    notes: list[str],
-    *,
-    unit: str | None,
-    up: str | None,
-    front: str | None,
-    length_m: float | None,
-) -> Array:
-    """(4, 4) matrix from the file's axes and unit to the component's."""
+def _placed(points: Array, label: str, source: MeshFile, hints: Hints) -> tuple[Array, list[str]]:
+    """(4, 4) matrix from the file's axes and unit to the component's, and notes on how it was found.
+
+    Raises:
+        StageError: the model has no size.
+        ParameterError: no unit makes it a thing of its class.
+    """
     size = np.ptp(points, axis=0)
     if not size.max() > 0:
         raise StageError("all its points are the same; export the model as a mesh")
-    says = found.metres_per_unit
-    factors = (
-        {f"given as {unit}": UNITS[unit]}
-        if unit
-        else {"length given": 0.0}
-        if length_m
-        else ({"as the file says": says} if says else {})
-    )
-    ups = (
-        [up]
-        if up
-        else [found.up]
-        if found.up
-        else ["+Y", "+Z"]
-        if front is None
-        else [a for a in ("+Y", "+Z") if AXES[a][0] != AXES[front][0]]
-    )
-    guesses = {f"guessed: {u}": s for u, s in UNITS.items()}
-    best = _best(size, label, ups, front, factors or guesses, length_m)
-    if says and not unit and not length_m and best[0] > 0:  # the file says a unit that gives no such thing
-        other = _best(size, label, ups, front, guesses, None)
-        best = other if other[0] == 0 else best
-    if (
-        found.up and not up and best[0] > 0 and not front
-    ):  # nor does its up axis; it would not be the first file to be wrong
-        other = _best(size, label, ["+Y", "+Z"], front, factors or guesses, length_m)
-        best = other if other[0] == 0 else best
-    miss, up_axis, ahead, why, factor = best
-    if miss > 0 and length_m is None and unit is None:
-        seen = " x ".join(f"{v:.4g}" for v in size)
+    miss, up_axis, ahead, why, factor = _reading(size, label, source, hints)
+    if miss > 0 and hints.length_m is None and hints.unit is None:
+        measures = " x ".join(f"{v:.4g}" for v in size)
         raise ParameterError(
-            f"a {label} of {seen} (x, y, z in the file) fits no unit of {', '.join(UNITS)}; say its --length in "
+            f"a {label} of {measures} (x, y, z in the file) fits no unit of {', '.join(UNITS)}; say its --length in "
             f"metres, or another --class"
         )
-    notes.append(f"unit: {factor:.5g} m, {why}")
-    says_so = "given" if up else "as the file says" if found.up == up_axis else "guessed: so its sizes fit best"
-    notes.append(f"up: {up_axis}, {says_so}")
-    axis, reason = (front, "given") if front else _front(points, label, up_axis, ahead, found)
-    notes.append(f"front: {axis}, {reason}")
+    reason_up = (
+        "given" if hints.up else "as the file says" if source.up == up_axis else "guessed: so its sizes fit best"
+    )
+    axis, reason = (hints.front, "given") if hints.front else _front(points, label, up_axis, ahead, source)
+    notes = [f"unit: {factor:.5g} m, {why}", f"up: {up_axis}, {reason_up}", f"front: {axis}, {reason}"]
     matrix = _frame(up_axis, axis)
     turned = points @ matrix[:3, :3].T * factor
     low, high = turned.min(axis=0), turned.max(axis=0)
     matrix[:3, :3] *= factor
     matrix[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
-    extent = (high - low)[[1, 0, 2]]
     if miss > 0:
+        measures = " x ".join(f"{v:.2f}" for v in (high - low)[[1, 0, 2]])
         allowed = ", ".join(f"{a:g} to {b:g}" for a, b in SIZES[label])
-        notes.append(
-            f"warning: {' x '.join(f'{v:.2f}' for v in extent)} m is no usual size of a {label} (length, width, height "
-            f"{allowed} m)"
-        )
-    return matrix
+        notes.append(f"warning: {measures} m is no usual size of a {label} (length, width, height {allowed} m)")
+    return matrix, notes
 
 
-def _best(
-    size: Array, label: str, ups: list[str], front: str | None, factors: dict[str, float], length_m: float | None
-) -> tuple[float, str, int, str, float]:
-    """The reading whose sizes miss those of the class least: (miss, up, index of the axis of length, why, metres per
-    unit).
+Reading = tuple[float, str, int, str, float]
+"""By how much sizes miss the class, up axis, index of the axis of length, why, metres per unit."""
+
+
+def _reading(size: Array, label: str, source: MeshFile, hints: Hints) -> Reading:
+    """The likeliest unit and axes of a file whose points span `size` (3,).
+
+    What is given holds; then what the file says, unless sizes say otherwise: it would not be the first to be wrong.
     """
+    guesses = {f"guessed: {unit}": metres for unit, metres in UNITS.items()}
+    factors = guesses
+    if hints.unit:
+        factors = {f"given as {hints.unit}": UNITS[hints.unit]}
+    elif hints.length_m:
+        factors = {"length given": 0.0}
+    elif source.metres_per_unit:
+        factors = {"as the file says": source.metres_per_unit}
+    upright = [up for up in ("+Y", "+Z") if hints.front is None or AXES[up][0] != AXES[hints.front][0]]
+    known_up = hints.up or source.up
+    best = _best(size, label, [known_up] if known_up else upright, hints, factors)
+    if source.metres_per_unit and not hints.unit and not hints.length_m and best[0] > 0:
+        guess = _best(size, label, [known_up] if known_up else upright, hints, guesses)
+        best = guess if guess[0] == 0 else best
+    if source.up and not hints.up and best[0] > 0 and not hints.front:
+        guess = _best(size, label, ["+Y", "+Z"], hints, factors)
+        best = guess if guess[0] == 0 else best
+    return best
+
+
+def _best(size: Array, label: str, ups: list[str], hints: Hints, factors: dict[str, float]) -> Reading:
+    """The reading whose sizes miss those of the class least."""
     readings = []
     for order, up in enumerate(ups):
         flat = [k for k in range(3) if k != AXES[up][0]]
-        if front:
-            aheads = [AXES[front][0]]
+        if hints.front:
+            aheads = [AXES[hints.front][0]]
         elif label in ROLLS:
             aheads = [max(flat, key=lambda k: size[k])]
         else:
             aheads = flat[::-1]
         for ahead, (why, factor) in itertools.product(aheads, factors.items()):
             across = next(k for k in flat if k != ahead)
-            metres = length_m / size[ahead] if length_m and size[ahead] > 0 else factor
+            metres = hints.length_m / size[ahead] if hints.length_m and size[ahead] > 0 else factor
             extent = metres * size[[ahead, across, AXES[up][0]]]
             readings.append((_miss(extent, label), round(_off_middle(extent, label), 6), order, up, ahead, why, metres))
     miss, _, _, up, ahead, why, metres = min(readings)
@@ -273,13 +284,13 @@ def _off_middle(extent: Array, label: str) -> float:
     )
 
 
-def _front(points: Array, label: str, up: str, ahead: int, found: Found) -> tuple[str, str]:
+def _front(points: Array, label: str, up: str, ahead: int, model: MeshFile) -> tuple[str, str]:
     """Which way it looks, and why."""
-    custom = found.front or ("+Z" if up == "+Y" else "-Y")
+    custom = model.front or ("+Z" if up == "+Y" else "-Y")
     if label not in ROLLS:
         return (
             custom,
-            "as its format has it" if found.front else "by custom of its up axis; give --front if it looks elsewhere",
+            "as its format has it" if model.front else "by custom of its up axis; give --front if it looks elsewhere",
         )
     axis = "XYZ"[ahead]
     if label == "car":
@@ -294,7 +305,7 @@ def _front(points: Array, label: str, up: str, ahead: int, found: Found) -> tupl
     if custom[1] == axis:
         return (
             custom,
-            "as its format has it" if found.front else "by custom of its up axis; give --front if it looks backward",
+            "as its format has it" if model.front else "by custom of its up axis; give --front if it looks backward",
         )
     return "+" + axis, "guessed: its longer side; give --front if it looks backward"
 

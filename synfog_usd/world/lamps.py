@@ -33,7 +33,7 @@ class LampType:
     """One kind of lamp.
 
     Attributes:
-        about: what it is.
+        about: one sentence.
         group: light group.
         spectrum: name of a CIE illuminant (CIE 015:2018), or of `spectra.LEDS`.
         source: where the figures are from.

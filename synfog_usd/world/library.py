@@ -124,10 +124,10 @@ def model(name: str, folder: Path | None = None) -> LibraryModel:
     Raises:
         StageError: no such model; names the nearest.
     """
-    found = library(folder).get(name)
-    if found is None:
+    entry = library(folder).get(name)
+    if entry is None:
         raise StageError(f"{folder or 'assets/models'}: no model {name!r}.{did_you_mean(name, library(folder))}")
-    return found
+    return entry
 
 
 @functools.cache
@@ -138,10 +138,10 @@ def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, Any]]:
     eaves and oriels; `facade_windows`, how many of its window panes, the last ones, are not in its roof; `shops`, the
     rows of the names over its shops, in that column of their picture which a variant of its set `shops` shows.
     """
-    found: dict[str, dict[str, Any]] = json.loads(
+    sizes: dict[str, dict[str, Any]] = json.loads(
         ((folder or resources.folder("assets") / "models") / "nominal.json").read_text(encoding="utf-8")
     )
-    return MappingProxyType(found)
+    return MappingProxyType(sizes)
 
 
 def of_group(group: str, folder: Path | None = None) -> tuple[LibraryModel, ...]:
@@ -151,8 +151,8 @@ def of_group(group: str, folder: Path | None = None) -> tuple[LibraryModel, ...]
 
 def origin(model: LibraryModel) -> str:
     """Where a model is from and under which licence, as its file states it."""
-    said = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData
-    return f"{said.get('source', 'source not stated')}, licence {said.get('licence', 'not stated')}"
+    data = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData
+    return f"{data.get('source', 'source not stated')}, licence {data.get('licence', 'not stated')}"
 
 
 def read(path: Path) -> LibraryModel:

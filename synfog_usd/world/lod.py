@@ -50,7 +50,8 @@ def with_low(component: Component, limit_m: float = LIMIT_M) -> Component:
     """
     if component.individuals:
         component = replace(
-            component, individuals={name: with_low(one, limit_m) for name, one in component.individuals.items()}
+            component,
+            individuals={name: with_low(individual, limit_m) for name, individual in component.individuals.items()},
         )
     if component.triangles() < WORTH:
         return component
@@ -72,12 +73,14 @@ def bare(component: Component) -> Component:
         *(pair for looks in component.variants.values() for look in looks.values() for pair in look.bindings.items()),
     ):
         worn.setdefault(mesh, set()).add(material)
-    known = {**PALETTE, **component.materials}
+    looks_of = {**PALETTE, **component.materials}
 
     def without(parts: Sequence[Part]) -> tuple[Part, ...]:
         return tuple(
             part
-            if any(_pictured(known[name]) for name in {part.material, *worn.get(part.material, ())} & known.keys())
+            if any(
+                _pictured(looks_of[name]) for name in {part.material, *worn.get(part.material, ())} & looks_of.keys()
+            )
             else replace(part, uv=None)
             for part in parts
         )
@@ -87,7 +90,7 @@ def bare(component: Component) -> Component:
         parts=without(component.parts),
         low=without(component.low),
         afar={level: without(parts) for level, parts in component.afar.items()},
-        individuals={name: bare(one) for name, one in component.individuals.items()},
+        individuals={name: bare(individual) for name, individual in component.individuals.items()},
     )
 
 
@@ -228,14 +231,14 @@ def _afar(component: Component, low: Sequence[Part]) -> dict[str, tuple[Part, ..
 
 
 def _kept(part: Part) -> tuple[int, ...]:
-    return next(kept for begin, kept in KEPT.items() if part.material.startswith(begin))
+    return next(counts for begin, counts in KEPT.items() if part.material.startswith(begin))
 
 
-def _fewer_leaves(part: Part, kept: int) -> Part:
+def _fewer_leaves(part: Part, of: int) -> Part:
     """One leaf in `kept`, larger by its root: so it covers as much."""
-    corners = part.points[part.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]][::kept]
+    corners = part.points[part.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]][::of]
     middle = corners.mean(axis=1, keepdims=True)
-    larger = middle + (corners - middle) * np.sqrt(kept)
+    larger = middle + (corners - middle) * np.sqrt(of)
     first = 4 * np.arange(len(larger))[:, None]
     faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
     return join([Part(larger.reshape(-1, 3), faces, part.material)])

@@ -1,7 +1,7 @@
 """A user's mesh file as triangles and materials: glTF, OBJ, PLY by trimesh, USD by itself.
 
 How many triangles there are is asked of headers before anything is expanded.
-What cannot be read is one error; what is left out is told as notes.
+What cannot be read is one error; notes say what is left out.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
@@ -20,8 +20,12 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 from synfog_usd.base.colour import srgb_decode
 from synfog_usd.base.errors import StageError, SynfogError
 from synfog_usd.base.fence import Fence
-from synfog_usd.world.materials import Material
-from synfog_usd.world.shapes import Array, Part
+from synfog_usd.world.materials import Colour, Material
+from synfog_usd.world.shapes import Array, Index, Part
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL import Image
 
 MOST_TRIANGLES = 50_000_000
 MOST_PICTURE_PX = 80_000_000
@@ -32,7 +36,7 @@ STAGES = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass
-class Found:
+class MeshFile:
     """What a file holds, in its own units and axes.
 
     Attributes:
@@ -44,14 +48,14 @@ class Found:
 
     parts: list[Part] = field(default_factory=list)
     materials: dict[str, Material] = field(default_factory=dict)
-    pictures: dict[str, Any] = field(default_factory=dict)
+    pictures: dict[str, Image.Image] = field(default_factory=dict)
     metres_per_unit: float | None = None
     up: str | None = None
     front: str | None = None
     notes: list[str] = field(default_factory=list)
 
 
-def read(file: Path) -> Found:
+def read(file: Path) -> MeshFile:
     """All triangles of a file.
 
     Raises:
@@ -64,17 +68,17 @@ def read(file: Path) -> Found:
         raise StageError(f"{file}: no such file")
     if kind not in STAGES:
         _refuse_many(file, _counted(file, kind))
-    found = _of_stage(file) if kind in STAGES else _of_mesh(file, kind)
-    if not sum(len(p.faces) for p in found.parts):
+    model = _of_stage(file) if kind in STAGES else _of_mesh(file, kind)
+    if not sum(len(p.faces) for p in model.parts):
         raise StageError(f"{file}: no triangles in it; export the model as a mesh")
-    if not all(np.isfinite(p.points).all() for p in found.parts):
+    if not all(np.isfinite(p.points).all() for p in model.parts):
         raise StageError(f"{file}: points that are not finite numbers; export it again")
-    for name, picture in found.pictures.items():
+    for name, picture in model.pictures.items():
         _decode(file, name, picture)
-    return found
+    return model
 
 
-def _decode(file: Path, name: str, picture: Any) -> None:
+def _decode(file: Path, name: str, picture: Image.Image) -> None:
     """Read a picture now, since its library does so only when its pixels are wanted."""
     width, height = picture.size
     if width * height > MOST_PICTURE_PX:
@@ -166,12 +170,12 @@ def _gltf_triangles(scene: dict[str, Any], file: Path) -> int:
 
 def _short(error: BaseException) -> str:
     text = " ".join(str(error).split()) or type(error).__name__
-    told = re.search(r" in file \S+ : '(.*?)'( |$)", text)  # what USD says, without where in its code
-    text = told[1] if told else text
+    quoted = re.search(r" in file \S+ : '(.*?)'( |$)", text)  # what USD says, without where in its code
+    text = quoted[1] if quoted else text
     return text if len(text) < 140 else text[:137] + "..."
 
 
-def _of_mesh(file: Path, kind: str) -> Found:
+def _of_mesh(file: Path, kind: str) -> MeshFile:
     import trimesh
 
     class Beside(trimesh.resolvers.FilePathResolver):
@@ -185,27 +189,27 @@ def _of_mesh(file: Path, kind: str) -> Found:
     try:
         scene = trimesh.load_scene(str(file), process=False, resolver=Beside(str(file)))
         meshes = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh)]
-        found = Found()
+        model = MeshFile()
         if kind in (".glb", ".gltf"):
-            found.metres_per_unit, found.up, found.front = 1.0, "+Y", "+Z"  # glTF 2.0, section 3.4
+            model.metres_per_unit, model.up, model.front = 1.0, "+Y", "+Z"  # glTF 2.0, section 3.4
         for mesh in meshes:
             if len(mesh.faces):
-                _take(found, mesh)
+                _take(model, mesh)
     except Exception as error:  # a damaged file can fail anywhere in its reader
         raise StageError(f"{file}: cannot be read ({_short(error)}); export it again, as .glb if you can") from error
-    return found
+    return model
 
 
-def _take(found: Found, mesh: Any) -> None:
+def _take(model: MeshFile, mesh: trimesh.Trimesh) -> None:
     """Add a mesh of trimesh with its material."""
     visual = mesh.visual
     look = getattr(visual, "material", None)
     picture = None
     if look is None:
         colour = _linear(np.asarray(visual.main_color[:3]) / 255.0) if visual.defined else (0.3, 0.3, 0.3)
-        made = Material(colour, 0.6)
-        if visual.defined and "colours of vertices became one" not in found.notes:
-            found.notes.append("colours of vertices became one")
+        surface = Material(colour, 0.6)
+        if visual.defined and "colours of vertices became one" not in model.notes:
+            model.notes.append("colours of vertices became one")
     else:
         physical = hasattr(look, "baseColorFactor")
         rgb = np.asarray(look.main_color[:3]) / 255.0
@@ -216,11 +220,11 @@ def _take(found: Found, mesh: Any) -> None:
         colour = tuple(float(v) for v in rgb) if physical else _linear(rgb)
         if picture is not None and not (physical and look.baseColorFactor is not None):
             colour = (1.0, 1.0, 1.0)
-        made = Material(colour, float(rough), float(metallic))
+        surface = Material(colour, float(rough), float(metallic))
     uv = getattr(visual, "uv", None) if picture is not None else None
     uv = np.asarray(uv, dtype=np.float64) if uv is not None and len(uv) == len(mesh.vertices) else None
-    name = _material(found, str(getattr(look, "name", "") or "surface"), made, picture if uv is not None else None)
-    found.parts.append(
+    name = _material(model, str(getattr(look, "name", "") or "surface"), surface, picture if uv is not None else None)
+    model.parts.append(
         Part(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64), name, uv)
     )
 
@@ -231,24 +235,24 @@ def _linear(srgb: Array) -> tuple[float, float, float]:
     return float(r), float(g), float(b)
 
 
-def _material(found: Found, wanted: str, look: Material, picture: Any) -> str:
+def _material(model: MeshFile, title: str, look: Material, picture: Image.Image | None) -> str:
     """The name under which a material is kept; the same look twice is one."""
-    base = Tf.MakeValidIdentifier(wanted) or "surface"
+    base = Tf.MakeValidIdentifier(title) or "surface"
     for number in range(1, 100_000):
         name = base if number == 1 else f"{base}_{number}"
         if picture is not None:
             look = replace(look, texture=f"{name}.png")
-        if name not in found.materials:
-            found.materials[name] = look
+        if name not in model.materials:
+            model.materials[name] = look
             if picture is not None:
-                found.pictures[look.texture] = picture
+                model.pictures[look.texture] = picture
             return name
-        if found.materials[name] == look and (picture is None or found.pictures[look.texture] is picture):
+        if model.materials[name] == look and (picture is None or model.pictures[look.texture] is picture):
             return name
     raise ValueError("too many materials")
 
 
-def _of_stage(file: Path) -> Found:
+def _of_stage(file: Path) -> MeshFile:
     """Every visible mesh of a USD stage, in the stage's own units."""
     try:
         _check_fence(file)
@@ -256,20 +260,20 @@ def _of_stage(file: Path) -> Found:
         stage = Usd.Stage.Open(layer) if layer else None
         if not stage:
             raise StageError(f"{file}: not a USD file, or damaged")
-        said = layer.pseudoRoot.GetInfo  # of the stage itself, USD gives no number that an exporter stored as float
-        found = Found(metres_per_unit=float(said("metersPerUnit")), up=f"+{said('upAxis')}")
+        info = layer.pseudoRoot.GetInfo  # of the stage itself, USD gives no number that an exporter stored as float
+        model = MeshFile(metres_per_unit=float(info("metersPerUnit")), up=f"+{info('upAxis')}")
         meshes = list(_visible(stage))
         _refuse_many(
             file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes)
         )
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         for mesh in meshes:
-            _take_mesh(found, mesh, np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())), file.parent.resolve())
+            _take_mesh(model, mesh, np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())), file.parent.resolve())
     except SynfogError:
         raise
     except Exception as error:  # arrays of a damaged stage need not fit each other
         raise StageError(f"{file}: cannot be read ({_short(error)})") from error
-    return found
+    return model
 
 
 def _check_fence(file: Path) -> None:
@@ -295,7 +299,7 @@ def _visible(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:
                 yield UsdGeom.Mesh(prim)
 
 
-def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) -> None:
+def _take_mesh(model: MeshFile, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) -> None:
     time = Usd.TimeCode.EarliestTime()
     points = np.array(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], dtype=np.int64)
@@ -307,9 +311,9 @@ def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) ->
     if (
         mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none
         and counts.max() > 3
-        and "subdivision was not applied" not in found.notes
+        and "subdivision was not applied" not in model.notes
     ):
-        found.notes.append("subdivision was not applied")
+        model.notes.append("subdivision was not applied")
     first = np.cumsum(counts) - counts
     fans = np.repeat(first, np.maximum(counts - 2, 0))
     step = np.concatenate([np.arange(1, c - 1) for c in counts]) if len(counts) else np.zeros(0, dtype=np.int64)
@@ -321,77 +325,80 @@ def _take_mesh(found: Found, mesh: UsdGeom.Mesh, matrix: Array, folder: Path) ->
         triangle = triangle[:, ::-1]
     subsets = UsdGeom.Subset.GetGeomSubsets(mesh, UsdGeom.Tokens.face, "materialBind")
     owner = np.repeat(np.arange(len(counts)), np.maximum(counts - 2, 0))
-    left = np.ones(len(counts), dtype=bool)
+    unbound = np.ones(len(counts), dtype=bool)
     for prim, chosen in [
         *((s.GetPrim(), np.array(s.GetIndicesAttr().Get() or [], dtype=np.int64)) for s in subsets),
         (mesh.GetPrim(), None),
     ]:
         mask = np.zeros(len(counts), dtype=bool)
-        mask[chosen if chosen is not None else left] = True
-        left &= ~mask
+        mask[chosen if chosen is not None else unbound] = True
+        unbound &= ~mask
         if mask.any():
-            _take_faces(found, mesh, prim, moved, corners, triangle[mask[owner]], folder)
+            _take_faces(model, mesh, prim, moved, corners, triangle[mask[owner]], folder)
 
 
 def _take_faces(
-    found: Found, mesh: UsdGeom.Mesh, prim: Usd.Prim, points: Array, corners: Any, triangle: Any, folder: Path
+    model: MeshFile, mesh: UsdGeom.Mesh, prim: Usd.Prim, points: Array, corners: Index, triangle: Index, folder: Path
 ) -> None:
-    look, picture, title = _surface(found, prim, folder)
+    """Add triangles, (M, 3) places among the corners, (N,) points of a mesh's faces, in the material of a prim."""
+    look, picture, title = _surface(model, prim, folder)
     st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
-    uv = (
-        np.array(st.ComputeFlattened() or [], dtype=np.float64).reshape(-1, 2)
-        if picture is not None and st
-        else np.zeros((0, 2))
-    )
+    uv = np.zeros((0, 2))
+    if picture is not None and st:
+        uv = np.array(st.ComputeFlattened() or [], dtype=np.float64).reshape(-1, 2)
     if len(uv) == len(corners):
-        part = Part(
-            points[corners[triangle.ravel()]], np.arange(triangle.size).reshape(-1, 3), "", uv[triangle.ravel()]
-        )
+        flat = triangle.ravel()
+        part = Part(points[corners[flat]], np.arange(flat.size).reshape(-1, 3), "", uv[flat])
     elif len(uv) == len(points):
         part = Part(points, corners[triangle], "", uv)
     else:
         part, picture = Part(points, corners[triangle], ""), None
-    found.parts.append(part.painted(_material(found, title, look, picture)))
+    model.parts.append(part.painted(_material(model, title, look, picture)))
 
 
-def _surface(found: Found, prim: Usd.Prim, folder: Path) -> tuple[Material, Any, str]:
+def _surface(model: MeshFile, prim: Usd.Prim, folder: Path) -> tuple[Material, Image.Image | None, str]:
     """The UsdPreviewSurface that a prim wears: its numbers, its colour picture and its name."""
     bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     source = bound.ComputeSurfaceSource() if bound else None
     shader = source[0] if source else None
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
         colours = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get() if prim.IsA(UsdGeom.Gprim) else None
-        return Material(tuple(float(v) for v in colours[0]) if colours else (0.3, 0.3, 0.3), 0.6), None, "surface"
+        return Material(_colour(colours[0]) if colours else (0.3, 0.3, 0.3), 0.6), None, "surface"
 
-    def number(name: str, otherwise: Any) -> Any:
-        given = shader.GetInput(name)
-        value = given.Get() if given and not given.HasConnectedSource() else None
-        return otherwise if value is None else value
+    def value(name: str) -> object:
+        constant = shader.GetInput(name)
+        return constant.Get() if constant and not constant.HasConnectedSource() else None
 
-    colour = tuple(float(v) for v in number("diffuseColor", (0.18, 0.18, 0.18)))
+    def number(name: str, default: float) -> float:
+        constant = value(name)
+        return default if constant is None else float(constant)  # type: ignore[arg-type]
+
+    colour = value("diffuseColor")
     look = Material(
-        colour,
-        float(number("roughness", 0.5)),
-        float(number("metallic", 0.0)),
-        clearcoat=float(number("clearcoat", 0.0)),
-    )  # type: ignore[arg-type]
-    given = shader.GetInput("diffuseColor")
-    if not given or not given.HasConnectedSource():
-        return look, None, bound.GetPrim().GetName()
-    image = UsdShade.Shader(given.GetConnectedSource()[0].GetPrim())
+        (0.18, 0.18, 0.18) if colour is None else _colour(colour),  # type: ignore[arg-type]
+        number("roughness", 0.5),
+        number("metallic", 0.0),
+        clearcoat=number("clearcoat", 0.0),
+    )
+    name = bound.GetPrim().GetName()
+    textured = shader.GetInput("diffuseColor")
+    if not textured or not textured.HasConnectedSource():
+        return look, None, name
+    image = UsdShade.Shader(textured.GetConnectedSource()[0].GetPrim())
     asset = image.GetInput("file").Get() if image and image.GetInput("file") else None
     path = Path(asset.resolvedPath) if asset and asset.resolvedPath else None
     if path is None or not path.resolve().is_relative_to(folder) or not path.is_file():
-        found.notes.append(
+        model.notes.append(
             f"{bound.GetPath()}: its picture {asset.path if asset else ''!r} is not beside the file and was left out"
         )
-        return look, None, bound.GetPrim().GetName()
+        return look, None, name
     from PIL import Image
 
     scale = image.GetInput("scale").Get() if image.GetInput("scale") else None
-    factor = tuple(float(v) for v in scale)[:3] if scale is not None else (1.0, 1.0, 1.0)
-    return (
-        Material(factor, look.roughness, look.metallic, clearcoat=look.clearcoat),
-        Image.open(path),
-        bound.GetPrim().GetName(),
-    )  # type: ignore[arg-type]
+    factor = (1.0, 1.0, 1.0) if scale is None else _colour(scale)
+    return replace(look, colour=factor), Image.open(path), name
+
+
+def _colour(values: Iterable[float]) -> Colour:
+    r, g, b, *_ = (float(value) for value in values)
+    return r, g, b

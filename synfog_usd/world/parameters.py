@@ -336,18 +336,20 @@ def named(parameter: Parameter) -> Parameter:
     """
     if not isinstance(parameter, Categorical) or not any(name.startswith("*") for name in parameter.allowed):
         return parameter
-    found: list[str] = []
+    names: list[str] = []
     for name in parameter.allowed:
         if not name.startswith("*"):
-            found.append(name)
+            names.append(name)
         elif name == "*sky":
-            found += skies()
+            names += skies()
         else:
             words = name[1:].split()
-            found += [one for one in rules.names() if not words or rules.model(one).group in words or one in words]
+            names += [
+                model for model in rules.names() if not words or rules.model(model).group in words or model in words
+            ]
     default = parameter.default
-    kept = {key: weight for key, weight in default.items() if key in found} if isinstance(default, dict) else default
-    return replace(parameter, allowed=tuple(found), default=kept)
+    weights = {key: weight for key, weight in default.items() if key in names} if isinstance(default, dict) else default
+    return replace(parameter, allowed=tuple(names), default=weights)
 
 
 def _lanes(item: Located) -> tuple[tuple[str, Distribution, int], ...]:
@@ -405,11 +407,11 @@ def _rows(item: Located, keys: Mapping[str, Parameter]) -> tuple[Row, ...]:
         items = mapping(row, "a row", tuple(keys))
         if "models" not in items:
             raise RecipeError(f"{row.place}: a row needs 'models', one name or {{choice: {{name: weight, ...}}}}")
-        found = {}
+        distributions = {}
         for key, parameter in keys.items():
             if key in items:
-                found[key] = read_distribution(items[key], f"rows: {key}", named(parameter))
+                distributions[key] = read_distribution(items[key], f"rows: {key}", named(parameter))
             elif key != "models":
-                found[key] = Distribution("fixed", (parameter.default,))
-        rows.append(Row(str(row.place), found))
+                distributions[key] = Distribution("fixed", (parameter.default,))
+        rows.append(Row(str(row.place), distributions))
     return tuple(rows)

@@ -57,7 +57,13 @@ def page() -> str:
             lines += [
                 f"### {section} ({name})",
                 "",
-                *_table({key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)}),
+                *_table(
+                    {
+                        key.partition(".")[2]: parameter
+                        for key, parameter in world.parameters.items()
+                        if _in(key, section)
+                    }
+                ),
                 "",
             ]
         if world.lanes:
@@ -91,17 +97,17 @@ def page() -> str:
 
 def schema() -> dict[str, Any]:
     """JSON Schema, draft 7, of a recipe."""
-    first, *others = WORLDS
+    first, *further = WORLDS
     every = [
         FOG,
         LANE,
-        *(one for world in WORLDS.values() for one in (*world.parameters.values(), *world.row.values())),
+        *(parameter for world in WORLDS.values() for parameter in (*world.parameters.values(), *world.row.values())),
     ]
-    chosen: dict[str, Any] = {"properties": {"world": {"enum": others}}, "required": ["world"]}
+    chosen: dict[str, Any] = {"properties": {"world": {"enum": further}}, "required": ["world"]}
     rules = [{"if": {"not": chosen}, "then": _world(WORLDS[first])}]
     rules += [
         {"if": {"properties": {"world": {"const": name}}, "required": ["world"]}, "then": _world(WORLDS[name])}
-        for name in others
+        for name in further
     ]
     return {
         "$schema": "http://json-schema.org/draft-07/schema#",
@@ -113,7 +119,7 @@ def schema() -> dict[str, Any]:
             "world": {"enum": list(WORLDS), "default": first, "description": "What is drawn."},
         },
         "allOf": rules,
-        "definitions": {_form(one): _forms(one) for one in every},
+        "definitions": {_form(parameter): _forms(parameter) for parameter in every},
     }
 
 
@@ -136,7 +142,7 @@ def _world(world: World) -> dict[str, Any]:
     }
     for section in sections(world.parameters):
         properties[section] = _mapping(
-            {key.partition(".")[2]: one for key, one in world.parameters.items() if _in(key, section)}
+            {key.partition(".")[2]: parameter for key, parameter in world.parameters.items() if _in(key, section)}
         )
     if world.row:
         properties["rows"] = {
@@ -171,7 +177,7 @@ def _lane(kind: str) -> dict[str, Any]:
 def _mapping(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {
         "type": "object",
-        "properties": {key: _value(one) for key, one in parameters.items()},
+        "properties": {key: _value(parameter) for key, parameter in parameters.items()},
         "additionalProperties": False,
     }
 
@@ -238,7 +244,8 @@ def _in(key: str, section: str) -> bool:
 def _table(parameters: Mapping[str, Parameter], *, left_out: str = "") -> list[str]:
     lines = ["| key | value | if left out | meaning |", "|---|---|---|---|"]
     return lines + [
-        f"| `{key}` | {_range(one)} | {left_out or _default(one)} | {one.about} |" for key, one in parameters.items()
+        f"| `{key}` | {_range(parameter)} | {left_out or _default(parameter)} | {parameter.about} |"
+        for key, parameter in parameters.items()
     ]
 
 

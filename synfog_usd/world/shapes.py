@@ -186,8 +186,8 @@ def box(
     dx, dy, dz = ((x1 - x0) / tile_m, (y1 - y0) / tile_m, (z1 - z0) / tile_m)
     spans = [(dx, dz), (dy, dz), (dx, dz), (dy, dz), (dx, dy), (dx, dy)]
     uv = [[(0, 0), (u, 0), (u, v), (0, v)] for u, v in spans[: len(rows)]]
-    kept = slice(0 if back else 1, None)
-    return quads([[p[i] for i in row] for row in rows[kept]], material, uv[kept])
+    sides = slice(0 if back else 1, None)
+    return quads([[p[i] for i in row] for row in rows[sides]], material, uv[sides])
 
 
 def soft_box(low: Sequence[float], high: Sequence[float], material: str, *, radius: float, sides: int = 3) -> Part:

@@ -53,11 +53,11 @@ class Sky:
 @functools.cache
 def skies(folder: Path | None = None) -> Mapping[str, Sky]:
     """Every sky in nits below `folder` (the shipped ones if left out), the brightest first."""
-    found = [read(path) for path in sorted((folder or resources.folder("assets") / "skies").glob("*.exr"))]
+    pictures = [read(path) for path in sorted((folder or resources.folder("assets") / "skies").glob("*.exr"))]
     return MappingProxyType(
         {
             sky.name: sky
-            for sky in sorted((sky for sky in found if sky), key=lambda sky: (-sky.illuminance_lx, sky.name))
+            for sky in sorted((sky for sky in pictures if sky), key=lambda sky: (-sky.illuminance_lx, sky.name))
         }
     )
 
@@ -66,17 +66,17 @@ def read(path: Path) -> Sky | None:
     """What a picture says of itself, or None where it is no sky in nits."""
     file = OpenImageIO.ImageInput.open(str(path))
     if file is None:
-        OpenImageIO.geterror()  # else it is told at the end of the process
+        OpenImageIO.geterror()  # clears the error, which the process would print at its end
         return None
     spec = file.spec()
     file.close()
-    said = [
+    values = [
         spec.getattribute(f"synfog:{key}")
         for key in ("about", "cieSky", "sunHeightDeg", "sunAzimuthDeg", "illuminanceLux", "zenithNits", "cctKelvin")
     ]
-    if any(value is None for value in said):
+    if any(value is None for value in values):
         return None
-    about, cie, *numbers = said
+    about, cie, *numbers = values
     return Sky(
         path.stem, str(about), int(cie), *(float(f"{float(value):.6g}") for value in numbers), path
     )  # float32 in the file

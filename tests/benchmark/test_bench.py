@@ -152,7 +152,7 @@ def test_the_bench_measures_and_goes_on_and_gives_the_same_numbers(tmp_path, fol
         assert told[name]["psnr"]["value"] == pytest.approx(np.mean(worked), abs=within)
     tables = {name: (tmp_path / "out" / name).read_bytes() for name in ("table.md", "table.csv", "results.json")}
     again = defog.run(find(folder), chosen(["none", str(own)]), tmp_path / "out")
-    assert again.made == 0
+    assert again.fresh == 0
     page.write(again, page.rows(again), tmp_path / "out")
     assert {name: (tmp_path / "out" / name).read_bytes() for name in tables} == tables
     assert "6 of 6" in tables["table.md"].decode()
@@ -242,8 +242,8 @@ def test_rows_of_an_interrupted_run_are_kept_and_end_as_those_of_one_that_was_no
     with pytest.raises(KeyboardInterrupt):
         defog.run(pairs, chose, parts, progress=stop)
     assert len(json.loads((parts / "results.json").read_text(encoding="utf-8"))) == 2
-    assert defog.run(pairs, chose, parts).made == 10
-    assert defog.run(pairs, chose, whole).made == 12
+    assert defog.run(pairs, chose, parts).fresh == 10
+    assert defog.run(pairs, chose, whole).fresh == 12
     assert (parts / "results.json").read_bytes() == (whole / "results.json").read_bytes()
 
 

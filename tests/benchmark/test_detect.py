@@ -344,7 +344,7 @@ def test_the_command_scores_and_goes_on_and_gives_the_same_numbers(baked, tmp_pa
     again = cli.run("benchmark", "detect", baked, "-o", out, "--model", own, "--quiet")
     assert again.returncode == 0 and {name: (out / name).read_bytes() for name in names} == tables
     bench = detect.run(detect.find(baked), [detect.DetectorRun(one) for one in detectors.chosen([str(own)])], out)
-    assert bench.made == 0 and not bench.failures(bench.methods[0])
+    assert bench.fresh == 0 and not bench.failures(bench.methods[0])
     table = tables["table.md"].decode()
     assert "| 1 | near | what fog leaves |" in table and "3 of 3" in table and "MOR 50 to 100 m" in table
     with Image.open(out / "pictures.png") as sheet:

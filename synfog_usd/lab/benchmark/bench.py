@@ -71,13 +71,13 @@ class Bench:
         items: in order.
         methods: in order.
         rows: (method's version, item's name) -> what is kept of its answer, or {'error': line}.
-        made: how many of them are of this run.
+        fresh: how many of them are of this run.
     """
 
     items: Sequence[Any]
     methods: Sequence[Any]
     rows: dict[tuple[str, str], Row] = field(default_factory=dict)
-    made: int = 0
+    fresh: int = 0
 
     def row(self, method: Versioned, item: Named) -> Row:
         """What is kept; {} where it was not asked."""
@@ -154,7 +154,7 @@ def run(
                 ]
                 with _children(children) as borrowed:
                     work = functools.partial(question.answer, method=method, borrowed=borrowed)
-                    bench.made += _ask(pool, work, method.name, row, missing, answers, log)
+                    bench.fresh += _ask(pool, work, method.name, row, missing, answers, log)
                 for key, item in zip(row, items, strict=True):
                     bench.rows[method.version, item.name] = answers.rows[key]
         finally:

@@ -301,18 +301,18 @@ class _Answers:
 
     views: list[FoggedView]
     true: list[tuple[int, int, LabelledThing]]
-    found: list[tuple[int, list[float]]]
+    boxes: list[tuple[int, list[float]]]
 
     def matched(
         self,
         ranges: Sequence[coco.Range],
-        thing: Callable[[LabelledThing], float],
-        box: Callable[[list[float]], float],
+        number: Callable[[LabelledThing], float],
+        box_number: Callable[[list[float]], float],
         ignored: Callable[[LabelledThing], bool],
     ) -> list[list[MatchedKind]]:
         """By range, then class."""
-        true = [TrueBox(n, kind, labelled.box, thing(labelled), ignored(labelled)) for n, kind, labelled in self.true]
-        guesses = [FoundBox(n, int(row[5]), row[:4], row[4], box(row)) for n, row in self.found]
+        true = [TrueBox(n, kind, labelled.box, number(labelled), ignored(labelled)) for n, kind, labelled in self.true]
+        guesses = [FoundBox(n, int(row[5]), row[:4], row[4], box_number(row)) for n, row in self.boxes]
         return coco.match(len(self.views), true, guesses, ranges)
 
 
@@ -349,11 +349,11 @@ def scores(bench_run: Bench, detector_run: DetectorRun, *, least_px: int = 0) ->
         enough = len({view.scene for view, n in zip(answers.views, numbers, strict=True) if n}) >= FEWEST_SCENES
         result.rows.append(DetectionScore(counts, by, group, metric, *_told(draws, enough), int(numbers.sum())))
 
-    def small(thing: LabelledThing) -> bool:
-        return thing.pixels < least_px
+    def small(item: LabelledThing) -> bool:
+        return item.pixels < least_px
 
-    def hidden(thing: LabelledThing) -> bool:
-        return small(thing) or thing.visibility == "invisible"
+    def hidden(item: LabelledThing) -> bool:
+        return small(item) or item.visibility == "invisible"
 
     steps = list(zip(DISTANCES_M[:-1], (float(np.nextafter(end, 0)) for end in DISTANCES_M[1:]), strict=True))
     for counts, ignored in ((ALL, small), (LEFT, hidden)):

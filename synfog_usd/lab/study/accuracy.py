@@ -140,7 +140,7 @@ def compare(pictures: Sequence[Array], reference: Reference) -> Errors:
     Args:
         pictures: luminance (H, W) each.
 
-    With x_k = truth + bias + noise_k and s^2 the scatter of the x_k about their mean m,
+    Let x_k = truth + bias + noise_k, and s^2 the scatter of the x_k about their mean m.  Then
     noise^2 = E[s^2] and bias^2 = E[(m - reference)^2 - s^2 / K - reference's variance],
     pixel by pixel; their sum is the mean of (x_k - reference)^2 less the reference's
     variance.  Its noise stays in what errors are relative to: with a relative error o of

@@ -75,8 +75,8 @@ class Asphalt:
 def wet_albedo(dry: float, ior: float = WATER_IOR) -> float:
     """Diffuse reflectance of a porous matt surface under a film of water.
 
-    Of the light that enters the film, what the surface sends back is in part reflected
-    at the film's underside, p = 1 - (1 - r) / n^2, and is offered to the surface again.
+    The surface reflects light into the film, whose underside sends a share p = 1 - (1 - r) / n^2
+    back to the surface.
 
     Args:
         dry: reflectance of the dry surface, 0 to 1; ior: n of the liquid.
@@ -90,12 +90,12 @@ def wet_albedo(dry: float, ior: float = WATER_IOR) -> float:
     return (1 - outside) * (1 - mean) * dry / (1 - mean * dry)
 
 
-def looks(asphalt: Asphalt, known: Mapping[str, Material]) -> dict[str, Material]:
+def looks(asphalt: Asphalt, materials: Mapping[str, Material]) -> dict[str, Material]:
     """What this road's materials are, by name; those that its kind and the water leave alone are left out."""
     share = WETNESS[asphalt.wet]
     result = {}
     for name in RAINED_ON:
-        base = LOOKS.get(name) or known.get(name) or PALETTE.get(name)
+        base = LOOKS.get(name) or materials.get(name) or PALETTE.get(name)
         if base is None:
             continue
         tone = TONES[asphalt.kind].get(name, (1.0, 1.0, 1.0))
@@ -142,8 +142,8 @@ def puddles(road: Road, asphalt: Asphalt, *, seed: int) -> list[Part]:
                 )
             )
     for kerb, side in road.lane_section.kerbs():
-        beside = road.lane_section.at(kerb - 0.05 * side)
-        if beside is None or beside.kind not in PAVED:
+        below = road.lane_section.at(kerb - 0.05 * side)
+        if below is None or below.kind not in PAVED:
             continue
         if road.crossfall and not road.lane_section.from_crown(kerb):  # water runs away from it
             continue
@@ -171,7 +171,7 @@ def _puddle(rng: np.random.Generator, s: float, t: float, long: float, wide: flo
         waver = 1 + 0.4 * np.convolve(rng.normal(0, 1, count + 2), (0.25, 0.5, 0.25), "valid")
         reach = wide * shape * np.clip(waver, 0.25, 1.9)
         edges.append(t + direction * (reach if side in (0, direction) else np.zeros(count)))
-    left, right = edges
+    low, high = edges
     return strip(
-        [np.array([(a, y, PUDDLE_M), (b, y, PUDDLE_M)]) for a, b, y in zip(left, right, at, strict=True)], "puddle"
+        [np.array([(a, y, PUDDLE_M), (b, y, PUDDLE_M)]) for a, b, y in zip(low, high, at, strict=True)], "puddle"
     )

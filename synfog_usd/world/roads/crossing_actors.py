@@ -15,7 +15,7 @@ from synfog_usd.world.language import Draws, weighted
 from synfog_usd.world.library import LibraryModel, nominal
 from synfog_usd.world.roads import crossing_props, people, rules, traffic
 from synfog_usd.world.roads.crossing import BAY_M, MAIN_HALF, ZEBRA, ZEBRA_DEPTH, ZEBRA_SIDE, ground_height
-from synfog_usd.world.roads.crossing_props import LIT_Y, stood
+from synfog_usd.world.roads.crossing_props import LIT_Y, standing
 from synfog_usd.world.spec import Placement
 
 WIDE = ("bus", "lorry")
@@ -237,6 +237,6 @@ def cyclist(draws: Draws) -> list[Placement]:
     heading = round(float(rng.normal(0, 1)), 1)
     outfit, colour = "ab"[int(rng.integers(2))], ("teal", "black", "red")[int(rng.integers(3))]
     return [
-        stood("People", "Rider_1", "rider", (x, y, heading), {"outfit": outfit}),
-        stood("Vehicles", "Bicycle_1", "bicycle", (x, y, heading), {"colour": colour}),
+        standing("People", "Rider_1", "rider", (x, y, heading), {"outfit": outfit}),
+        standing("Vehicles", "Bicycle_1", "bicycle", (x, y, heading), {"colour": colour}),
     ]

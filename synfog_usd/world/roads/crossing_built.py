@@ -49,7 +49,7 @@ def scatters(spec: WorldSpec, crossing: Crossing) -> Sequence[Scatter | None]:
 def edged_lanes(crossing: Crossing) -> list[lanes.EdgedLane]:
     """The lanes of both streets, through the crossing, and the bays of the main street."""
     north, west = np.array([0.0, 1.0]), np.array([-1.0, 0.0])
-    found = []
+    edged = []
     for ahead, begin, end, inner, outer, kind in (
         (north, -SOUTH, NORTH, 0.0, LANE_M, "lane"),
         (-north, -NORTH, SOUTH, 0.0, LANE_M, "lane"),
@@ -62,8 +62,8 @@ def edged_lanes(crossing: Crossing) -> list[lanes.EdgedLane]:
         left_edge, right_edge = (
             np.array([(*(s * ahead + aside * right), 0.0) for s in (begin, end)]) for aside in (inner, outer)
         )
-        found.append(lanes.EdgedLane(lanes.TYPES[kind], left_edge, right_edge))
-    return found
+        edged.append(lanes.EdgedLane(lanes.TYPES[kind], left_edge, right_edge))
+    return edged
 
 
 def instanced(spec: WorldSpec, crossing: Crossing) -> list[Instanced]:

@@ -89,7 +89,7 @@ STREET_TREES = {
 KINDS = ("lime_tree", "maple_tree", "lime_tree", "bare_tree")
 
 
-def stood(
+def standing(
     group: str, name: str, asset: str, place: tuple[float, float, float],
     variants: Mapping[str, str] | None = None, lit: Mapping[str, str] | None = None, *, size: float = 1.0,
 ) -> Placement:  # fmt: skip
@@ -140,7 +140,7 @@ def houses() -> list[Placement]:
 def parked_bicycles() -> list[Placement]:
     """At the walls of the houses."""
     return [
-        stood("Vehicles", f"Parked_Bicycle_{i}", "bicycle", (x, y, heading), {"colour": colour})
+        standing("Vehicles", f"Parked_Bicycle_{i}", "bicycle", (x, y, heading), {"colour": colour})
         for i, (x, y, heading, colour) in enumerate(BICYCLES, 1)
     ]
 
@@ -148,7 +148,7 @@ def parked_bicycles() -> list[Placement]:
 def furniture() -> list[Placement]:
     """Lamps, lights, signs, bins, benches."""
     lamps = [
-        stood(
+        standing(
             "Furniture",
             f"Lamp_{i:02d}",
             "street_lamp",
@@ -158,13 +158,13 @@ def furniture() -> list[Placement]:
         for i, (side, y) in enumerate(LAMPS, 1)
     ]
     signals = [
-        stood("Furniture", f"Signal_{i}", asset, (x, y, heading), {"signal": state}, {"lamps": "on"})
+        standing("Furniture", f"Signal_{i}", asset, (x, y, heading), {"signal": state}, {"lamps": "on"})
         for i, (asset, x, y, heading, state) in enumerate(SIGNALS, 1)
     ]
     return [
         *lamps,
         *signals,
-        *(stood("Furniture", f"{row[0].title()}_{i:02d}", row[0], row[1:]) for i, row in enumerate(FURNITURE, 1)),
+        *(standing("Furniture", f"{row[0].title()}_{i:02d}", row[0], row[1:]) for i, row in enumerate(FURNITURE, 1)),
     ]
 
 

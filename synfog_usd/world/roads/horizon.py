@@ -80,7 +80,9 @@ class Scatter:
 def mixture(seed: int, lod: str = "far") -> tuple[Tree, ...]:
     """The trees of this world's woods, as they are seen from afar."""
     chosen = WOODS[int(stream(seed, "land", "mixture").integers(len(WOODS)))]
-    return tuple((name, {"individual": one, "lod": lod} if one else {"lod": lod}) for name, one in chosen)
+    return tuple(
+        (name, {"individual": individual, "lod": lod} if individual else {"lod": lod}) for name, individual in chosen
+    )
 
 
 @dataclass(frozen=True)
@@ -162,26 +164,26 @@ class Horizon:
         if 2 * half == len(faces) and (faces[:half, [0, 2]] == faces[half:, [0, 1]]).all():
             middle = np.tile((middle[:half] + middle[half:]) / 2, (2, 1))
         kind = np.where(self.away(*middle.T) < NEAR_M, -1, self.crop(*middle.T))
-        found = []
+        parts = []
         for number in range(-1, len(CROPS)):
             used, corners = np.unique(faces[(kind == number) & (True if keep is None else keep)], return_inverse=True)
             if not len(used):
                 continue
             corners = corners.reshape(-1, 3)
             if number < 0:
-                found.append(
+                parts.append(
                     Part(part.points[used], corners, part.material, None if part.uv is None else part.uv[used])
                 )
             else:
                 shine = None if normals is None else normals[used]
-                found.append(Part(part.points[used], corners, CROPS[number], None, shine))
-        return found
+                parts.append(Part(part.points[used], corners, CROPS[number], None, shine))
+        return parts
 
     # -- what stands there
 
     def scatters(self) -> list[Scatter]:
         """Woods and hedgerows, houses, and what stands out against the sky."""
-        return [one for one in (*self._plants(), *self._houses(), *self._skyline()) if len(one.points)]
+        return [scatter for scatter in (*self._plants(), *self._houses(), *self._skyline()) if len(scatter.points)]
 
     def _there(self, x: Array, y: Array, least_m: float) -> tuple[Array, Array]:
         """(N, 3) places on the ground of those farther than that from the road, and which ones they are."""
@@ -275,7 +277,7 @@ class Horizon:
         chance = {"church": 0.6, "pylons": 0.45, "turbines": 0.35, "chimney": 0.25, "blocks": 0.15}
         if self.kind == "town":
             chance = {"church": 0.6, "pylons": 0.15, "turbines": 0.1, "chimney": 0.5, "blocks": 0.7}
-        found = []
+        scatters = []
         for name, share in chance.items():
             there, away, aside = rng.random() < share, rng.uniform(420, 1050), rng.uniform(-26, 26)
             along, n = rng.uniform(0, np.pi), int(rng.integers(3, 7))
@@ -294,7 +296,7 @@ class Horizon:
                 turns = rng.uniform(0, 360, len(points))
             sizes = np.ones(len(points)) * (rng.uniform(0.9, 1.3) if name != "church" else 1.0)
             if name == "church":
-                found.append(
+                scatters.append(
                     Scatter(
                         "Far_Church",
                         "building",
@@ -309,8 +311,8 @@ class Horizon:
             else:
                 label = "building" if name in ("blocks", "chimney") else "pole"
                 points[:, 2] -= 0.5
-                found.append(Scatter(f"Far_{name.title()}", label, MADE[name](), points, turns, sizes))
-        return found
+                scatters.append(Scatter(f"Far_{name.title()}", label, MADE[name](), points, turns, sizes))
+        return scatters
 
 
 HOUSES = (
@@ -330,12 +332,12 @@ def _panes(width: float, depth: float, floors: int, floor_m: float, foot_m: floa
     two of five with a blind let down behind it; and a door in the front.
     """
     rng = stream(0, "horizon", "panes", round(100 * width), floors)
-    found: dict[str, list[Array]] = {"far_frame": [], "far_window": [], "far_blind": [], "far_door": []}
+    panes: dict[str, list[Array]] = {"far_frame": [], "far_window": [], "far_blind": [], "far_door": []}
 
     def put(material: str, side: int, u: tuple[float, float], v: tuple[float, float], out: float) -> None:
         off = -(depth if side % 2 == 0 else width) / 2 - out
         corners = np.array([(u[0], off, v[0]), (u[1], off, v[0]), (u[1], off, v[1]), (u[0], off, v[1])])
-        found[material].append(corners @ turn(90.0 * side)[:3, :3].T)
+        panes[material].append(corners @ turn(90.0 * side)[:3, :3].T)
 
     for side in range(4):
         long = width if side % 2 == 0 else depth
@@ -352,7 +354,7 @@ def _panes(width: float, depth: float, floors: int, floor_m: float, foot_m: floa
                 if rng.random() < 0.4:
                     put("far_blind", side, (u - 0.55, u + 0.55), (v + rng.uniform(0.2, 1.0), v + 1.35), 0.06)
                 put("far_frame", side, (u - 0.05, u + 0.05), (v, v + 1.35), 0.07)
-    return [quads(np.array(corners), material) for material, corners in found.items()]
+    return [quads(np.array(corners), material) for material, corners in panes.items()]
 
 
 def _house(wall: str, roof: str, width: float, depth: float, floors: int, *, town: bool) -> tuple[Part, ...]:

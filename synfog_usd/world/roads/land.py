@@ -95,11 +95,11 @@ def _open(road: Road, horizon: Horizon) -> list[Part]:
         axes.append(horizon.snapped(np.concatenate([low - steps[::-1], middle, high + steps]), number))
     gx, gy = np.meshgrid(*axes)
     at, t = road.reference_line.nearest(gx, gy)
-    beside = (at > 0.5) & (at < road.reference_line.length - 0.5)
+    in_length = (at > 0.5) & (at < road.reference_line.length - 0.5)
     out = np.maximum(t - road.lane_section.high, road.lane_section.low - t)
     z = road.ground(at, t) + horizon.relief(gx, gy, out)
     z = z - SUNK_M * np.clip((reach(road) + 30.0 - out) / 30.0, 0.0, 1.0)
-    covered = beside & (out < reach(road) - 1.0)
+    covered = in_length & (out < reach(road) - 1.0)
     points = np.stack([gx, gy, z], axis=-1)
     part = strip(list(points), "meadow", uv=list(points[..., :2] / GRASS_TILE_M))
     along, across = np.gradient(z, axes[1], axes[0])
@@ -238,8 +238,8 @@ def meadow(road: Road, *, seed: int, low: float, high: float, houses: Array) -> 
     n = int(MEADOW_PER_M2 * 2 * (far - MOWN_M) * (high - low))
     s = low + (high - low) * rng.random(n) ** 1.5
     out = MOWN_M + (far - MOWN_M) * rng.random(n) ** 1.4
-    left = rng.random(n) < 0.5
-    t = np.where(left, road.lane_section.low - out, road.lane_section.high + out)
+    on_left = rng.random(n) < 0.5
+    t = np.where(on_left, road.lane_section.low - out, road.lane_section.high + out)
     phase = rng.uniform(0, 2 * np.pi, 4)
     thick = np.sin(0.41 * s + 0.23 * t + phase[0]) + np.sin(0.13 * s - 0.37 * t + phase[1])
     thick += np.sin(0.9 * t + phase[2]) * np.sin(0.7 * s + phase[3])

@@ -83,9 +83,9 @@ class LaneSection:
 
     def kerbs(self) -> Iterator[tuple[float, int]]:
         """(offset, side): where a kerb is; the raised side lies to the right if `side` is 1, else to the left."""
-        for one, other in zip(self.lanes[:-1], self.lanes[1:], strict=True):
-            if (one.kind in RAISED) != (other.kind in RAISED):
-                yield other.low, 1 if other.kind in RAISED else -1
+        for lane, following in zip(self.lanes[:-1], self.lanes[1:], strict=True):
+            if (lane.kind in RAISED) != (following.kind in RAISED):
+                yield following.low, 1 if following.kind in RAISED else -1
 
     def ends(self, lane: Lane) -> tuple[float, float]:
         """Heights of a lane at its two edges, over the reference line [m]."""
@@ -118,23 +118,23 @@ class LaneSection:
         against = [lane.high for lane in self.of(*DRIVEN) if lane.way < 0]
         along = [lane.low for lane in self.of(*DRIVEN) if lane.way > 0]
         from_, to = max(against or along[:1]), min(along or against[-1:])
-        left, right = from_, to
+        low, high = from_, to
         for lane in reversed(self.lanes):
-            if lane.high <= left + EDGE_M and lane.kind in PAVED:
-                left = lane.low
-            elif lane.high <= left + EDGE_M:
+            if lane.high <= low + EDGE_M and lane.kind in PAVED:
+                low = lane.low
+            elif lane.high <= low + EDGE_M:
                 break
         for lane in self.lanes:
-            if lane.low >= right - EDGE_M and lane.kind in PAVED:
-                right = lane.high
-            elif lane.low >= right - EDGE_M:
+            if lane.low >= high - EDGE_M and lane.kind in PAVED:
+                high = lane.high
+            elif lane.low >= high - EDGE_M:
                 break
-        return left, from_, to, right
+        return low, from_, to, high
 
     def from_crown(self, t: npt.ArrayLike) -> Array:
         """How far offsets are from the crown [m]; beyond a gutter as at the gutter."""
-        left, from_, to, right = self._falling
-        t = np.clip(np.asarray(t, dtype=np.float64), left, right)
+        low, from_, to, high = self._falling
+        t = np.clip(np.asarray(t, dtype=np.float64), low, high)
         return np.maximum(np.maximum(from_ - t, t - to), 0.0)
 
     def at(self, t: float) -> Lane | None:

@@ -31,12 +31,12 @@ class EdgedLane:
 def of_road(road: Road) -> list[EdgedLane]:
     """Every paved strip of a road, from left to right; what nobody drives along goes the way of its side."""
     s = surface.stations(road)
-    found = []
+    edged = []
     for lane in road.lane_section.of(*TYPES):
         way = lane.way or (1 if lane.middle > 0 else -1)
         low, high = (edge(road, s, np.full(len(s), t)) for t in (lane.low, lane.high))
-        found.append(EdgedLane(TYPES[lane.kind], *((low, high) if way > 0 else (high[::-1], low[::-1]))))
-    return found
+        edged.append(EdgedLane(TYPES[lane.kind], *((low, high) if way > 0 else (high[::-1], low[::-1]))))
+    return edged
 
 
 def edge(road: Road, s: Array, t: Array) -> Array:

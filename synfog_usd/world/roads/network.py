@@ -169,8 +169,8 @@ class Road:
     def _waves(self) -> Array:
         """(5, WAVES): height of each wave, cosine and sine of its direction, length [m] and phase [rad]."""
         rng = stream(self.land.seed, "land", "hills")
-        drawn = [(rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)) for _ in range(WAVES)]
-        length, angle, phase = np.array(drawn).T
+        rows = [(rng.uniform(110, 600), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)) for _ in range(WAVES)]
+        length, angle, phase = np.array(rows).T
         return np.stack([length / 600, np.cos(angle), np.sin(angle), length, phase])
 
     def hills(self, x: Array, y: Array) -> Array:

@@ -116,7 +116,7 @@ def optional(distribution: Distribution, rng: np.random.Generator) -> float | No
     return None if distribution.values[0] is None else float(distribution.number(rng))
 
 
-def stood(
+def standing(
     asset: str, place: tuple[float, float, float], heading: float, looks: Mapping[str, str], size: float = 1.0
 ) -> Placement:
     """A thing at x, y, z [m] that looks along a heading [degrees], in the group of its kind."""

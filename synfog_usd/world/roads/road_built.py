@@ -31,29 +31,31 @@ def built(spec: WorldSpec, road: Road) -> list[Built]:
     """Everything that is made for this road alone, by name."""
     parts = surface.surface(road, seed=spec.scatter, asphalt=spec.built["asphalt"])
     names = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
-    made = [Built(names[key], key, tuple(found)) for key, found in parts.items()]
-    made.append(Built("Markings", "road", tuple(markings.markings(road))))
-    made.append(Built("Land", "terrain", tuple(land.land(road, _horizon(spec, road)))))
+    whole = [Built(names[key], key, tuple(of_label)) for key, of_label in parts.items()]
+    whole.append(Built("Markings", "road", tuple(markings.markings(road))))
+    whole.append(Built("Land", "terrain", tuple(land.land(road, _horizon(spec, road)))))
     rails = spec.built.get("rails", "none")
     end = road.reference_line.length if road.land.hill is None else road.land.hill[0] - 0.3
     if rails in ("outer", "all"):
         for t, side in ((_soft(road, -1), 1), (_soft(road, 1), -1)):
-            made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{'Left' if side > 0 else 'Right'}"))
+            whole.append(
+                structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{'Left' if side > 0 else 'Right'}")
+            )
     if rails in ("median", "all"):
         for lane in road.lane_section.of("reserve"):
             for t, side, name in ((lane.low + 0.7, -1, "Against"), (lane.high - 0.7, 1, "Along")):
-                made.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{name}"))
+                whole.append(structures.guard_rail(road, t, side, 0.0, end, f"Guard_Rail_{name}"))
     if spec.built.get("delineators") == "both":
-        made += structures.delineators(road, 0.0, end)
-    made += [structures.gantry(road, s, i + 1) for i, s in enumerate(spec.built.get("gantries", ()))]
+        whole += structures.delineators(road, 0.0, end)
+    whole += [structures.gantry(road, s, i + 1) for i, s in enumerate(spec.built.get("gantries", ()))]
     if spec.built.get("works"):
-        made.append(works.built(road, spec.built["works"]))
+        whole.append(works.built(road, spec.built["works"]))
     if road.land.valley:
-        made += structures.bridge(road)
-        made.append(Built("River", "terrain", (land.river(road, _horizon(spec, road)),)))
+        whole += structures.bridge(road)
+        whole.append(Built("River", "terrain", (land.river(road, _horizon(spec, road)),)))
     if road.land.hill:
-        made += structures.tunnel(road)
-    return made
+        whole += structures.tunnel(road)
+    return whole
 
 
 def _horizon(spec: WorldSpec, road: Road) -> horizon.Horizon:
@@ -77,28 +79,28 @@ def _soft(road: Road, side: int) -> float:
 
 def scatters(spec: WorldSpec, road: Road) -> Sequence[horizon.Scatter | None]:
     """Woods, what stands at the horizon, and tall grass where the camera is near."""
-    found: list[horizon.Scatter | None] = [
+    sown: list[horizon.Scatter | None] = [
         land.wood(road, seed=spec.scatter, count=spec.built["trees"], nearest_m=spec.built["trees_from_m"]),
         *_horizon(spec, road).scatters(),
     ]
     station = spec.built["station"]
     if spec.built["grass"] == "tufts":
-        found.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
+        sown.append(land.tufts(road, seed=spec.scatter, low=station, high=station + TUFTS_M))
         if spec.built["horizon"] == "country":
             end = station + MEADOW_M
-            found.append(land.meadow(road, seed=spec.scatter, low=station, high=end, houses=_houses(spec)))
-    return found
+            sown.append(land.meadow(road, seed=spec.scatter, low=station, high=end, houses=_houses(spec)))
+    return sown
 
 
 def _houses(spec: WorldSpec) -> Array:
     """(N, 3) x, y and radius [m] of the ground that buildings stand on."""
-    found = []
+    circles = []
     for p in spec.placed:
         if p.group == "Buildings":
             corners = rules.footprint(p)
             middle = corners.mean(axis=0)
-            found.append((*middle, np.hypot(*(corners - middle).T).max()))
-    return np.array(found).reshape(-1, 3)
+            circles.append((*middle, np.hypot(*(corners - middle).T).max()))
+    return np.array(circles).reshape(-1, 3)
 
 
 def edged_lanes(road: Road) -> list[lanes.EdgedLane]:

@@ -130,9 +130,9 @@ def _stood(
     at_zebra: bool = False,
 ) -> Placement | None:
     """A thing beside the road, or None where the road has no place for it."""
-    found = rules.model(asset)
+    model = rules.model(asset)
     near_kerb = (
-        not at_zebra and found.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
+        not at_zebra and model.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
     )
     if (
         s > road.reference_line.length
@@ -141,15 +141,15 @@ def _stood(
     ):
         return None
     x, y, z, heading, _ = road.pose(s, t)
-    if found.group == "building":  # stands as high as the ground before it, or in the slope
+    if model.group == "building":  # stands as high as the ground before it, or in the slope
         z = round(float(road.ground(s, road.lane_section.high if t > 0 else road.lane_section.low)), 4) - 0.005
-        if max(t - road.lane_section.high, road.lane_section.low - t) - found.length / 2 > FRONT_GARDEN_M:
+        if max(t - road.lane_section.high, road.lane_section.low - t) - model.length / 2 > FRONT_GARDEN_M:
             corners = rules.footprint(Placement("", "", asset, x, y, heading + angle, size=size))
             ground = road.height(corners[:, 0], corners[:, 1])
             if np.ptp(ground) > DUG_IN_M:
                 return None
             z = round(float(np.min(ground)), 4) - 0.005
-    return props.stood(asset, (x, y, z), rules.facing(heading + angle), looks, size)
+    return props.standing(asset, (x, y, z), rules.facing(heading + angle), looks, size)
 
 
 def _counted_from(road: Road, where: str, sign: int) -> float:

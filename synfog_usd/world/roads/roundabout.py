@@ -394,8 +394,13 @@ class Roundabout(Road):
 
 @dataclass(frozen=True, kw_only=True)
 class Circle:
-    """Sizes of a circle [m]: radius of the inscribed one, width of the lane that goes round and of the truck apron,
-    height of the middle island's grass, and the wished radius of entry and exit arcs.
+    """Sizes of a circle [m].
+
+    Attributes:
+        radius: of the inscribed circle.
+        ring, apron: widths of the lane that goes round, and of the truck apron.
+        mound: height of the middle island's grass.
+        corner: wished radius of entry and exit arcs.
     """
 
     radius: float

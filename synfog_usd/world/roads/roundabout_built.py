@@ -17,17 +17,17 @@ TUFTS_PER_M2, TUFTS_M = 2.0, 32.0
 
 def built(spec: WorldSpec, junction: Roundabout) -> list[Built]:
     """Parts by name, each with its Cityscapes label."""
-    made = [
+    whole = [
         Built(NAMES[label], label, tuple(parts))
         for label, parts in roundabout_surface.surface(junction, spec.built["asphalt"], seed=spec.scatter).items()
     ]
     painted = [
-        *roundabout_markings.drawn(junction, give_way=spec.built["give_way"]),
+        *roundabout_markings.paint(junction, give_way=spec.built["give_way"]),
         *roundabout_markings.worn(junction, seed=spec.scatter),
     ]
-    made.append(Built("Markings", "road", tuple(painted)))
-    made.append(Built("Land", "terrain", tuple(roundabout_surface.ground(junction, _horizon(spec, junction)))))
-    return [*made, *roundabout_markings.signs(junction)]
+    whole.append(Built("Markings", "road", tuple(painted)))
+    whole.append(Built("Land", "terrain", tuple(roundabout_surface.ground(junction, _horizon(spec, junction)))))
+    return [*whole, *roundabout_markings.signs(junction)]
 
 
 def _horizon(spec: WorldSpec, junction: Roundabout) -> Horizon:

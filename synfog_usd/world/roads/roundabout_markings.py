@@ -28,7 +28,7 @@ SIGN_M = 0.3
 """Radius of the blue signs' faces."""
 
 
-def drawn(junction: Roundabout, *, give_way: str) -> list[Part]:
+def paint(junction: Roundabout, *, give_way: str) -> list[Part]:
     """Every marking of a roundabout, laid on it."""
     parts: list[Part] = []
     for arm, road in enumerate(junction.arms):
@@ -155,7 +155,7 @@ def signs(junction: Roundabout) -> list[Built]:
     """On each splitter island the sign of the roundabout before the circle, and low at its tip 'keep right'; both face
     who arrives.
     """
-    made = []
+    built = []
     for arm, road in enumerate(junction.arms):
         (low, _), (_, tip) = junction.islands(arm)
         for name, s, high, face in (
@@ -168,8 +168,8 @@ def signs(junction: Roundabout) -> list[Built]:
                 untextured(pole),
                 *(part.moved(shift(0, 0, high)) for part in face),
             ]
-            made.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))
-    return made
+            built.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))
+    return built
 
 
 def _front(outline: npt.ArrayLike, depth: float, material: str) -> Part:

@@ -126,7 +126,7 @@ def _island(draws: Draws, junction: Roundabout, occupied: rules.CollisionSet) ->
         heading, r = arm.reference_line.origin[2], junction.island - 0.75
         h = math.radians(heading)
         place = junction.stand(-r * math.sin(h), r * math.cos(h))
-        placed.append(props.stood("sign_chevron", place, rules.facing(heading), {}))
+        placed.append(props.standing("sign_chevron", place, rules.facing(heading), {}))
     for number in range(draws.whole("circle.trees")):
         rng = draws.stream("circle.tree", number)
         asset = draws.recipe.distributions["circle.tree_models"].word(rng)
@@ -134,7 +134,7 @@ def _island(draws: Draws, junction: Roundabout, occupied: rules.CollisionSet) ->
         size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
         place = junction.stand(r * math.cos(a), r * math.sin(a))
         heading = rules.facing(float(rng.uniform(0, 360)))
-        placed.append(props.stood(asset, place, heading, props.look(rng, rules.model(asset)), round(size, 3)))
+        placed.append(props.standing(asset, place, heading, props.look(rng, rules.model(asset)), round(size, 3)))
     return [p for p in placed if occupied.take(p, 0.3)]
 
 
@@ -148,7 +148,7 @@ def _signs(junction: Roundabout, occupied: rules.CollisionSet) -> list[Placement
             u, _ = junction.across(x, y)
             shift = 0.55 - float(u)  # the arc comes in at a slant
             x, y = road.reference_line.place(s, t - shift)
-            placed.append(props.stood(asset, junction.stand(x, y), rules.facing(road.reference_line.origin[2]), {}))
+            placed.append(props.standing(asset, junction.stand(x, y), rules.facing(road.reference_line.origin[2]), {}))
     return [p for p in placed if occupied.take(p)]
 
 
@@ -192,7 +192,7 @@ def _row(
                 "along": math.atan2(ny, nx),
             }
             heading = math.degrees(angle[prop.turned]) if prop.turned in angle else prop.any_way
-            p = props.stood(prop.asset, (x, y, 0.0), round(heading, 2), prop.looks, prop.size)
+            p = props.standing(prop.asset, (x, y, 0.0), round(heading, 2), prop.looks, prop.size)
             if _clear(junction, p, behind + prop.out):
                 yield s, replace(p, z=junction.stand(x, y)[2])
 

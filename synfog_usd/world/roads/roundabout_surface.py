@@ -49,22 +49,22 @@ GRID_M, GRID_FROM_M = 18.0, 60.0
 
 def surface(junction: Roundabout, asphalt: Asphalt = WORN, *, seed: int = 0) -> dict[str, list[Part]]:
     """Cityscapes label -> parts of everything between the pavements' outer edges, markings apart."""
-    found: dict[str, list[Part]] = {
+    parts: dict[str, list[Part]] = {
         "road": [_disc(junction, asphalt), *_water(junction, asphalt, seed)],
         "sidewalk": [],
         "terrain": [],
     }
     for arm in range(len(junction.arms)):
-        found["road"] += _arm(junction, arm, asphalt)
+        parts["road"] += _arm(junction, arm, asphalt)
         for low, high in junction.islands(arm):
-            found["sidewalk"] += _splitter(junction, arm, low, high)
+            parts["sidewalk"] += _splitter(junction, arm, low, high)
     for corner in range(len(junction.arms)):
-        found["sidewalk"] += _corner(junction, corner)
+        parts["sidewalk"] += _corner(junction, corner)
     apron, kerb, mound = _middle(junction)
-    found["road"] += apron
-    found["sidewalk"].append(kerb)
-    found["terrain"].append(mound)
-    return found
+    parts["road"] += apron
+    parts["sidewalk"].append(kerb)
+    parts["terrain"].append(mound)
+    return parts
 
 
 def swept(
@@ -215,8 +215,8 @@ def _splitter(junction: Roundabout, arm: int, low: float, high: float) -> list[P
     normals = _closed_normals(points)
     inner = points + BEHIND_KERB_M * normals
     n = len(s)
-    left, right = inner[:n], inner[n : 2 * n][::-1]
-    rows = [np.c_[[a, b], [KERB_M, KERB_M]] for a, b in zip(left, right, strict=True)]
+    west, east = inner[:n], inner[n : 2 * n][::-1]
+    rows = [np.c_[[a, b], [KERB_M, KERB_M]] for a, b in zip(west, east, strict=True)]
     return [_kerb(points, normals, KERB_M), textured_from_above(strip(rows, "paving"), PAVING_TILE_M)]
 
 
@@ -249,14 +249,14 @@ def _behind(junction: Roundabout, out: float, step: float) -> Array:
     """(N, 2) places `out` [m] behind every pavement about `step` [m] from each other; those that another kerb is nearer
     to are left out.
     """
-    line, found = junction.outline, []
+    line, rows = junction.outline, []
     for corner in range(len(junction.arms)):
         span = line.span(corner)
         p = line.points[span] + (junction.pavement + out) * line.normals[span]
         at = np.r_[0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))]
         n = max(2, round(at[-1] / step) + 1)
-        found.append(np.stack([np.interp(np.linspace(0, at[-1], n), at, p[:, k]) for k in (0, 1)], axis=1))
-    points = np.concatenate(found)
+        rows.append(np.stack([np.interp(np.linspace(0, at[-1], n), at, p[:, k]) for k in (0, 1)], axis=1))
+    points = np.concatenate(rows)
     u, _ = junction.across(points[:, 0], points[:, 1])
     return points[u > junction.pavement + 0.93 * out]
 
@@ -335,15 +335,15 @@ def sown(
 def _wood(junction: Roundabout, seed: int, count: int, nearest_m: float) -> Scatter | None:
     rng = stream(seed, "roundabout", "wood")
     reach = float(np.hypot(*junction.outline.points.T).max()) + 60.0
-    found: list[Array] = []
+    groups: list[Array] = []
     for _ in range(80):
-        if sum(len(p) for p in found) >= count:
+        if sum(len(p) for p in groups) >= count:
             break
         n = int(rng.integers(4, 15))
         p = rng.uniform(-reach, reach, 2) + rng.normal(0, 14, (n, 2))
         u, _ = junction.across(p[:, 0], p[:, 1])
-        found.append(p[u > junction.pavement + nearest_m])
-    points = np.concatenate(found)[:count] if found else np.zeros((0, 2))
+        groups.append(p[u > junction.pavement + nearest_m])
+    points = np.concatenate(groups)[:count] if groups else np.zeros((0, 2))
     if not len(points):
         return None
     z = junction.height(points[:, 0], points[:, 1]) - 0.25

@@ -119,30 +119,30 @@ def bridge(road: Road) -> list[Built]:
     """The deck over the valley: fascias, underside, piers, and a railing on both sides."""
     assert road.land.valley is not None
     low, high, depth = road.land.valley
-    left, right = road.lane_section.low, road.lane_section.high
-    a, b = float(road.lane_section.height(left)), float(road.lane_section.height(right))
+    west, east = road.lane_section.low, road.lane_section.high
+    a, b = float(road.lane_section.height(west)), float(road.lane_section.height(east))
     profile = [
-        (left, a),
-        (left, a + UPSTAND_M),
-        (left - 0.35, a + UPSTAND_M),
-        (left - 0.35, a - 0.75),
-        (left + 1.2, -1.9),
-        (right - 1.2, -1.9),
-        (right + 0.35, b - 0.75),
-        (right + 0.35, b + UPSTAND_M),
-        (right, b + UPSTAND_M),
-        (right, b),
+        (west, a),
+        (west, a + UPSTAND_M),
+        (west - 0.35, a + UPSTAND_M),
+        (west - 0.35, a - 0.75),
+        (west + 1.2, -1.9),
+        (east - 1.2, -1.9),
+        (east + 0.35, b - 0.75),
+        (east + 0.35, b + UPSTAND_M),
+        (east, b + UPSTAND_M),
+        (east, b),
     ]
     deck: list[Part] = [sweep(road, profile[::-1], "concrete", tile_m=3.0, low=low - 4.0, high=high + 4.0)]
     for s in np.linspace(low, high, max(3, round((high - low) / 28.0)) + 1)[1:-1]:
         deck.append(
             bend(
-                soft_box((left + 2.0, s - 0.7, -depth - 7.0), (right - 2.0, s + 0.7, -1.85), "concrete", radius=0.4),
+                soft_box((west + 2.0, s - 0.7, -depth - 7.0), (east - 2.0, s + 0.7, -1.85), "concrete", radius=0.4),
                 road,
             )
         )
     rails: list[Part] = []
-    for t, base in ((left - 0.17, a + UPSTAND_M), (right + 0.17, b + UPSTAND_M)):
+    for t, base in ((west - 0.17, a + UPSTAND_M), (east + 0.17, b + UPSTAND_M)):
         for h, r in ((1.02, 0.035), (0.78, 0.014), (0.56, 0.014), (0.34, 0.014), (0.14, 0.014)):
             rails.append(_bar(road, t, base + h, r, low - 4.0, high + 4.0))
         for s in np.arange(low - 4.0, high + 4.0, 2.0):
@@ -227,17 +227,17 @@ def _ring(road: Road, inner: Array, outer: Array, middle: float, s: float, mater
 def gantry(road: Road, s: float, number: int) -> Built:
     """A sign bridge over the lanes that go along: two posts, a lattice beam, a board a lane."""
     lanes = [lane for lane in road.driving_lanes if lane.way > 0]
-    left, right = lanes[0].middle - lanes[0].width / 2 - 1.3, lanes[-1].middle + lanes[-1].width / 2 + 3.4
+    low, high = lanes[0].middle - lanes[0].width / 2 - 1.3, lanes[-1].middle + lanes[-1].width / 2 + 3.4
     parts: list[Part] = []
-    for t in (left, right):
+    for t in (low, high):
         base = float(road.lane_section.height(t))
         parts.append(tube([(t, s, base - 0.2), (t, s, 7.6)], [0.2, 0.16], "galvanised", sides=10))
     for h in (6.3, 7.5):
         for y in (s - 0.35, s + 0.35):
-            parts.append(tube([(left, y, h), (right, y, h)], 0.07, "galvanised", sides=6))
-    for k, t in enumerate(np.arange(left, right - 1.0, 1.2)):
+            parts.append(tube([(low, y, h), (high, y, h)], 0.07, "galvanised", sides=6))
+    for k, t in enumerate(np.arange(low, high - 1.0, 1.2)):
         for y in (s - 0.35, s + 0.35):
-            ends = [(t, y, 6.3), (min(t + 1.2, right), y, 7.5)]
+            ends = [(t, y, 6.3), (min(t + 1.2, high), y, 7.5)]
             parts.append(
                 tube(ends if k % 2 else [(ends[0][0], y, 7.5), (ends[1][0], y, 6.3)], 0.035, "galvanised", sides=5)
             )
