@@ -36,7 +36,6 @@ HEAVY = {
     "drjit": {"render"},
     "OpenImageIO": {"camera", "camera/writers", "lab/study", "translate/texture.py", "world"},
     "matplotlib": {"lab/study"},
-    "torch": {"lab/benchmark"},
     "pyoidn": {"render"},
     "tifffile": {"camera/writers"},
     "imagecodecs": {"camera/writers"},

@@ -12,7 +12,6 @@ import typer
 
 from synfog_usd.base.errors import OutputError, SynfogError
 
-Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for what is written.")]
 
 

@@ -20,7 +20,6 @@ from synfog_usd.world.importer import import_asset
 from synfog_usd.world.library import library
 
 LENGTH, WIDTH, HEIGHT = 4.4, 1.8, 1.5
-REAL = Path(__file__).resolve().parents[3] / "shared" / "usd"
 
 
 def car() -> trimesh.Trimesh:
@@ -309,14 +308,6 @@ def test_a_taken_name_is_not_written_over(tmp_path):
         import_asset(file, "car", out=tmp_path / "lib", unit="m")
     again = import_asset(file, "car", out=tmp_path / "other").model.path.read_bytes()
     assert first == again
-
-
-@pytest.mark.skipif(not REAL.is_dir(), reason="real USD files are not here")
-def test_a_real_character_becomes_a_person(tmp_path):
-    """CesiumMan of Khronos, by Apple's converter: Y up, 1.5 m tall."""
-    made = import_asset(REAL / "people" / "CesiumMan" / "CesiumMan.usdz", "person", out=tmp_path)
-    assert made.model.height == pytest.approx(1.5, abs=0.1)
-    assert made.model.low[2] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):

@@ -107,18 +107,6 @@ def test_a_low_beam_keeps_to_the_points_of_the_regulation(name):
     assert 20_000 <= at(*np.meshgrid(np.linspace(-3, 4, 29), np.linspace(-3, 0, 31))).max() <= 30_000
 
 
-@pytest.mark.parametrize("name", [n for n in BEAMS if n.startswith("high_beam")])
-def test_a_high_beam_is_brightest_ahead(name):
-    """UN Regulation 112, class B: 40 500 to 215 000 cd, HV within 80 % of the greatest, 20 250 cd at 2.6 and 5 100 at
-    5.2 degrees aside.
-    """
-    at = ahead(SHIPPED / f"{name}.ies")
-    greatest = at(*np.meshgrid(np.linspace(-5, 5, 41), np.linspace(-4, 4, 33))).max()
-    assert 40_500 <= greatest <= 215_000
-    assert at(0, 0) >= 0.8 * greatest
-    assert min(at(-2.6, 0), at(2.6, 0)) >= 20_250 and min(at(-5.2, 0), at(5.2, 0)) >= 5_100
-
-
 @pytest.mark.parametrize(
     ("name", "least", "greatest"), [("street_sodium_150w", 1.0, 1.75), ("street_led_60w", 1.75, 2.75)]
 )
@@ -161,17 +149,6 @@ def test_tints_have_the_luminance_and_the_colour_of_their_spectra():
             mine = colour.XYZ_to_xy(colour.RGB_to_XYZ(rgb, "ITU-R BT.709", apply_cctf_decoding=False))
             np.testing.assert_allclose(mine, xy, atol=2e-3)  # 1 nm against 5 nm steps
     assert lamps.tint("tail")[0] > 4.5 and lamps.tint("tail")[2] == 0
-    amber = lamps.tint("indicator_front")
-    assert 0.1 < amber[1] / amber[0] < 0.3 and amber[2] == 0
-    sodium = lamps.tint("street_sodium_150w")
-    assert sodium[0] > 2 * sodium[1] > 10 * sodium[2]
-    temperatures = [
-        colour.temperature.xy_to_CCT(
-            colour.XYZ_to_xy(colour.RGB_to_XYZ(np.array(lamps.tint(n)), "ITU-R BT.709")), method="McCamy 1992"
-        )
-        for n in ("low_beam_halogen", "street_metal_halide_100w", "low_beam_led")
-    ]
-    np.testing.assert_allclose(temperatures, [2856, 4002, 5109], rtol=0.02)  # CIE 015:2018, table 8
 
 
 @pytest.mark.parametrize("name", list(lamps.LAMPS))

@@ -41,41 +41,19 @@ def test_shipped_recipes_are_valid(validator, path):
     assert [error.message for error in validator.iter_errors(yaml.safe_load(path.read_text(encoding="utf-8")))] == []
 
 
-GOOD = [
-    HEAD,
-    ROAD,
-    ROAD + "traffic: {per_hour: {by_hour: [[0, 60], [8, 700]]}, count: {integer: [3, 9]}}",
-    ROAD + "rows: [{models: lime_tree, step_m: 9}]",
-    HEAD + "world: roundabout\ncircle: {diameter_m: {normal: {mean: 36, deviation: 3, low: 30, high: 42}}}",
-    HEAD + "fog: [600, {integer: [100, 200]}]",
-]
-WRONG = [
-    "world: road",
-    HEAD + "world: rode",
-    HEAD + "world: road",
-    ROAD + "road: {length_m: 10000}",
-    ROAD + "traffic: {bodies: tank}",
-    ROAD + "fog: []",
-    ROAD + "rows: [{side: left}]",
-    ROAD + "rows: [{models: lime_tree, wher: kerb}]",
-    ROAD + "people: {count: 2.5}",
-    ROAD + "circle: {diameter_m: 30}",
-    HEAD + "world: road\nlane_section: [{lane: 3.5}]",
-    HEAD + "world: road\nlane_section: [{lame: 3.5, way: 1}]",
-    HEAD + "lane_section: [{lane: 3, way: 1}]",
-    HEAD + "world: roundabout\nrows: [{models: lime_tree, side: left}]",
-    HEAD + "sky: {day: {choice: {overcast: 0}}}",
-]
-
-
-@pytest.mark.parametrize("text", GOOD)
-def test_what_the_reader_takes_the_schema_takes(validator, tmp_path, text):
-    (tmp_path / "mine.yaml").write_text(text)
-    load(tmp_path / "mine.yaml")
-    validator.validate(yaml.safe_load(text))
-
-
-@pytest.mark.parametrize("text", WRONG)
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEAD + "world: rode",
+        HEAD + "world: road",
+        ROAD + "traffic: {bodies: tank}",
+        ROAD + "fog: []",
+        ROAD + "rows: [{side: left}]",
+        ROAD + "circle: {diameter_m: 30}",
+        HEAD + "world: road\nlane_section: [{lane: 3.5}]",
+        HEAD + "sky: {day: {choice: {overcast: 0}}}",
+    ],
+)
 def test_what_the_reader_refuses_the_schema_refuses(validator, tmp_path, text):
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(RecipeError):

@@ -20,13 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.dataset.sets.cluster import cores
 from synfog_usd.lab.benchmark import decode
 from synfog_usd.lab.benchmark.classics import CLASSICS
+from synfog_usd.lab.benchmark.decode import Session
 from synfog_usd.lab.benchmark.detectors import Detector
-from synfog_usd.lab.benchmark.methods import PNG, Defogger, Measurer, Method
-from synfog_usd.lab.benchmark.raw import filter_planes
+from synfog_usd.lab.benchmark.methods import Defogger, Measurer, Method
 
 Work = Callable[..., None]
 """From the file of a picture to that of the answer; what measures gets that of the truth, too."""
@@ -116,54 +117,47 @@ def _loaded(method: Method) -> Work:
     return lambda taken, out: _write(out, classic(read(taken).astype(np.float64) / 255.0))
 
 
-def _session(method: Method) -> Any:
+def _session(method: Method) -> Session:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = threads(method)
-    return onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+    session: Session = onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+    return session
 
 
-def _network(method: Defogger) -> Callable[[Path], np.ndarray]:
-    raw = method.takes != PNG
-    planes, scale, layout = (
-        (4, 2, "the planes of a mosaic (1, 4, H / 2, W / 2)") if raw else (3, 1, "one picture (1, 3, H, W)")
-    )
-    ask, sides = _onnx_network(method, planes, layout)
-    low, high = method.range
+def _network(method: Defogger) -> Callable[[Path], Array]:
+    """What restores the picture of a file, (H, W, 3) of 0 to 1.
 
-    def restore(source: Path) -> np.ndarray:
-        if raw:
-            planes_of_source = filter_planes(source)
-        else:
-            planes_of_source = read(source).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
-        height, width = planes_of_source.shape[1:]
-        down, right = (-height) % method.multiple, (-width) % method.multiple
-        padded = np.pad(planes_of_source, ((0, 0), (0, down), (0, right)), mode="symmetric")
-        for side, side_found in zip(sides, padded.shape[1:], strict=True):
-            if isinstance(side, int) and side != side_found:
-                raise ValueError(
-                    f"the network wants pictures of {sides[1]} x {sides[0]}, and this one has {width} x {height}; "
-                    f"export it with free height and width"
-                )
-        answer = np.asarray(ask(padded[None]), dtype=np.float64)
-        expected = (1, 3, scale * padded.shape[1], scale * padded.shape[2])
-        if answer.shape != expected:
-            raise ValueError(f"the network gave {answer.shape} for {padded[None].shape}, and not {expected}")
-        return (answer[0].transpose(1, 2, 0)[: scale * height, : scale * width] - low) / (high - low)
-
-    return restore
-
-
-def _onnx_network(method: Defogger, planes: int, layout: str) -> tuple[Callable[[np.ndarray], Any], tuple[Any, Any]]:
-    """What asks it, and its height and width: numbers where it has fixed ones."""
+    Raises:
+        ValueError: the network takes something else.
+    """
     session = _session(method)
     inputs, outputs = session.get_inputs(), session.get_outputs()
     shape = inputs[0].shape
-    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != planes):
-        raise ValueError(f"the network takes {', '.join(f'{i.name} {i.shape}' for i in inputs)}; it must take {layout}")
-    return lambda given: session.run([outputs[0].name], {inputs[0].name: given})[0], (shape[2], shape[3])
+    if len(inputs) != 1 or len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+        takes = ", ".join(f"{node.name} {node.shape}" for node in inputs)
+        raise ValueError(f"the network takes {takes}; it must take one picture (1, 3, H, W)")
+    low, high = method.range
+
+    def restore(source: Path) -> Array:
+        planes = read(source).transpose(2, 0, 1).astype(np.float32) / 255.0 * (high - low) + low
+        height, width = planes.shape[1:]
+        down, right = (-height) % method.multiple, (-width) % method.multiple
+        batch = np.pad(planes, ((0, 0), (0, down), (0, right)), mode="symmetric")[None]
+        for side, padded in zip(shape[2:], batch.shape[2:], strict=True):
+            if isinstance(side, int) and side != padded:
+                raise ValueError(
+                    f"the network wants pictures of {shape[3]} x {shape[2]}, and this one has {width} x {height}; "
+                    f"export it with free height and width"
+                )
+        answer = np.asarray(session.run([outputs[0].name], {inputs[0].name: batch})[0], dtype=np.float64)
+        if answer.shape != batch.shape:
+            raise ValueError(f"the network gave {answer.shape} for {batch.shape}")
+        return (answer[0].transpose(1, 2, 0)[:height, :width] - low) / (high - low)
+
+    return restore
 
 
 def _run(method: Method, task: dict[str, str]) -> None:

@@ -7,9 +7,9 @@
       - {name: mine, onnx: mine.onnx, multiple: 8}
       - {name: theirs, command: [python, run.py, --in, "{in}", --out, "{out}"], takes: srgb.png, timeout_s: 60}
 
-An ONNX network takes and gives R, G and B of (1, 3, H, W), from 0 to 1, or -1 to 1 by `range: [-1, 1]`.  With
-`takes: raw.dng` it takes the planes of the mosaic, see `raw`.  A command reads the file {in} and writes a PNG of the
-same size to {out}.  Both work on one picture at a time, and have all cores, unless `at_once` allows more.
+An ONNX network takes and gives R, G and B of (1, 3, H, W), from 0 to 1, or -1 to 1 by `range: [-1, 1]`.  A command
+reads the file {in} and writes a PNG of the same size to {out}; `takes: raw.dng` hands it the RAW file.  Both work on
+one picture at a time, and have all cores, unless `at_once` allows more.
 """
 
 from __future__ import annotations
@@ -157,19 +157,16 @@ def _method(entry: Located, folder: Path) -> Defogger:
         if value not in ([0, 1], [-1, 1]):
             raise ParameterError(f"{fields['range'].place}: range is {value!r}; it takes [0, 1] or [-1, 1]")
         more["range"] = (float(value[0]), float(value[1]))
-    return Defogger(**declared(entry, fields, folder, more, raw=True), **more)
+    return Defogger(**declared(entry, fields, folder, more), **more)
 
 
-def declared(
-    entry: Located, fields: dict[str, Located], folder: Path, more: Mapping[str, Any], *, raw: bool = False
-) -> dict[str, Any]:
+def declared(entry: Located, fields: dict[str, Located], folder: Path, more: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of `Method` that an entry declares.
 
     Args:
         entry, fields: the entry, and what stands in it.
         folder: to which its paths are relative.
         more: what else decides its answers.
-        raw: whether a network may take RAW.
 
     Raises:
         ParameterError: a fault, with its place.
@@ -185,11 +182,9 @@ def declared(
             values[key] = float(number(fields[key], key, low, high))
     if "takes" in fields:
         value = fields["takes"].plain()
-        plain = isinstance(value, str) and Path(value).name == value
-        if not plain or ("onnx" in fields and not (raw and value.endswith(".dng"))):
+        if not isinstance(value, str) or Path(value).name != value or "onnx" in fields:
             raise ParameterError(
                 f"{fields['takes'].place}: takes is {value!r}; it is the plain name of an output, for a command"
-                f"{', or of a RAW file, for a network' if raw else ''}"
             )
         values["takes"] = value
     decides = {**values, **more}
