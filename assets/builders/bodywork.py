@@ -126,12 +126,7 @@ def car_field(body: Body) -> Field:
         ],
         0.10,
     )
-    above = [
-        (half * 0.60, y0 + 0.02),
-        (half * 0.93, y0 + 0.75),
-        (half * 0.96, 0.1),
-        (half * 0.78, y1 - 0.55),
-    ]
+    above = [(half * 0.60, y0 + 0.02), (half * 0.93, y0 + 0.75), (half * 0.96, 0.1), (half * 0.78, y1 - 0.55)]
     cabin_plan = plan if body.upright else filleted([*above, *((-x, y) for x, y in reversed(above))], 0.30)
     arch = body.wheel + ARCH_GAP_M
     bumper = body.tail[0] - 0.05

@@ -15,16 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from assets.builders.solids import (
-    Field,
-    blob_distance,
-    carve,
-    gradient,
-    limb_distance,
-    soft_max,
-    soft_min,
-    surface,
-)
+from assets.builders.solids import Field, blob_distance, carve, gradient, limb_distance, soft_max, soft_min, surface
 from synfog_usd.world.shapes import Array, Part, strip, tube
 
 if TYPE_CHECKING:

@@ -292,12 +292,7 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
         crease_deg=32,
     )
     dish = lathe(
-        [
-            (bead * 0.92, -w * 0.5),
-            (bead * 0.94, w * 0.76),
-            (bead * 1.01, w * 0.92),
-            (bead * 1.045, w * 0.88),
-        ],
+        [(bead * 0.92, -w * 0.5), (bead * 0.94, w * 0.76), (bead * 1.01, w * 0.92), (bead * 1.045, w * 0.88)],
         "rim",
         sides=26,
         crease_deg=35,
@@ -310,11 +305,7 @@ def wheel(radius: float, width: float, spokes: int) -> tuple[Part, Part, Part]:
         a, b = 2 * np.pi * i / pairs, 2 * np.pi * i / pairs + lean
         foot, tip = np.array([np.cos(a), np.sin(a)]), np.array([np.cos(b), np.sin(b)])
         loops = []
-        for at, share, half, z in (
-            (foot, 0.18, 0.085, 0.62),
-            (foot, 0.40, 0.060, 0.72),
-            (tip, 0.96, 0.068, 0.84),
-        ):
+        for at, share, half, z in ((foot, 0.18, 0.085, 0.62), (foot, 0.40, 0.060, 0.72), (tip, 0.96, 0.068, 0.84)):
             side = np.array([-tip[1], tip[0]]) * bead * half * (1.15 if spokes > 6 else 1.0)
             middle = at * bead * share
             ring = [middle - 1.25 * side, middle - side, middle + side, middle + 1.25 * side]

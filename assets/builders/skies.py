@@ -131,24 +131,9 @@ SKIES: Mapping[str, Sky] = {
         through=0.15,
         glow=1.4,
     ),
-    "stratocumulus_noon": Sky(
-        "Stratocumulus with a few gaps.",
-        3,
-        40.0,
-        14_000.0,
-        0.95,
-        (_STRATOCUMULUS,),
-        glow=0.5,
-    ),
+    "stratocumulus_noon": Sky("Stratocumulus with a few gaps.", 3, 40.0, 14_000.0, 0.95, (_STRATOCUMULUS,), glow=0.5),
     "stratus_winter": Sky(
-        "Low stratus over a winter noon.",
-        5,
-        14.0,
-        5_000.0,
-        1.0,
-        (_STRATUS,),
-        contrast=2.2,
-        glow=0.3,
+        "Low stratus over a winter noon.", 5, 14.0, 5_000.0, 1.0, (_STRATUS,), contrast=2.2, glow=0.3
     ),
     "rain": Sky(
         "Nimbostratus with scud below it; steady rain.", 1, 30.0, 3_500.0, 1.0, (_NIMBOSTRATUS, _SCUD), contrast=2.2
@@ -174,23 +159,10 @@ SKIES: Mapping[str, Sky] = {
         glow=0.2,
     ),
     "broken_afternoon": Sky(
-        "Scattered cumulus in the afternoon.",
-        7,
-        25.0,
-        13_000.0,
-        0.5,
-        (_CUMULUS,),
-        through=0.1,
-        glow=0.25,
+        "Scattered cumulus in the afternoon.", 7, 25.0, 13_000.0, 0.5, (_CUMULUS,), through=0.1, glow=0.25
     ),
     "altocumulus_morning": Sky(
-        "A mackerel sky of altocumulus in the morning.",
-        6,
-        18.0,
-        8_000.0,
-        0.7,
-        (_ALTOCUMULUS,),
-        glow=0.2,
+        "A mackerel sky of altocumulus in the morning.", 6, 18.0, 8_000.0, 0.7, (_ALTOCUMULUS,), glow=0.2
     ),
     "morning_mist": Sky(
         "Mist and thin stratus soon after sunrise, near to white.",
@@ -225,15 +197,7 @@ SKIES: Mapping[str, Sky] = {
         glow=0.6,
     ),
     "sunset_altocumulus": Sky(
-        "Altocumulus lit from below at sunset.",
-        9,
-        0.0,
-        350.0,
-        0.6,
-        (_ALTOCUMULUS,),
-        sun=0.9,
-        through=0.25,
-        glow=1.0,
+        "Altocumulus lit from below at sunset.", 9, 0.0, 350.0, 0.6, (_ALTOCUMULUS,), sun=0.9, through=0.25, glow=1.0
     ),
     "dusk_overcast": Sky(
         "Blue dusk under closed stratocumulus.", 4, -3.0, 25.0, 1.0, (_like(_STRATOCUMULUS, cover=0.995),), sun=0.0

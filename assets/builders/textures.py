@@ -430,11 +430,7 @@ def signs() -> Array:
     )
     arrow = ((np.abs(u) < 0.13) & (v > -0.6) & (v < 0.3)) | ((v > 0.15) & (v < 0.66 - 1.2 * np.abs(u)))
     ahead = paint(paint(paint(grey, r < 1, white), r < 0.95, blue), arrow, white)
-    parking = paint(
-        paint(paint(grey, square < 1, white), square < 0.94, blue),
-        _capital_p(u, v),
-        white,
-    )
+    parking = paint(paint(paint(grey, square < 1, white), square < 0.94, blue), _capital_p(u, v), white)
     name = paint(paint(np.tile(blue, (n, n, 1)), square > 0.96, white), np.zeros((n, n), dtype=bool), white)
     strip = n // 4
     name[:strip] = paint(
@@ -456,10 +452,7 @@ def _thirty(u: Array, v: Array) -> Array:
     a, top = 3 / 14 * tall, 3 / 7 * tall  # half width and half height of the strokes' middles
     three_at, nought_at, waist = -0.355 * tall, 0.355 * tall, 0.03 * tall
     upper, lower = (top - waist) / 2, (top + waist) / 2
-    three = [
-        *_arc(three_at, top - upper, a * 0.95, upper, 160, -90),
-        *_arc(three_at, lower - top, a, lower, 90, -160),
-    ]
+    three = [*_arc(three_at, top - upper, a * 0.95, upper, 160, -90), *_arc(three_at, lower - top, a, lower, 90, -160)]
     nought = [*_arc(nought_at, top - a, a, a, 180, 0), *_arc(nought_at, a - top, a, a, 0, -180)]
     return _near([three, [*nought, nought[0]]], u, v) < tall / 14
 

@@ -329,11 +329,7 @@ def _coach() -> Component:
         plate((0, -6.14, 0.66), 6, front=False),
     ]
     return Component(
-        "coach",
-        "bus",
-        cleaned(parts),
-        "A touring coach, 12.3 m long.",
-        _looks(("white", "silver", "blue"), shine),
+        "coach", "bus", cleaned(parts), "A touring coach, 12.3 m long.", _looks(("white", "silver", "blue"), shine)
     )
 
 

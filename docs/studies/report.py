@@ -81,10 +81,7 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
     return text.rstrip()
 
 
-def _failures(
-    points: Mapping[str, Sequence[Point]],
-    notes: Mapping[str, Sequence[str]],
-) -> str:
+def _failures(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[str]]) -> str:
     """A line for each model and setting: stages where its bias is seen, and why it is not there."""
     names = list(dict.fromkeys(point.line for line in points.values() for point in line))
     names += [name for stage in notes.values() for note in stage if (name := note.partition(":")[0]) not in names]

@@ -413,10 +413,7 @@ def test_a_source_without_pictures_or_things_is_refused(baked, tmp_path):
     [
         ("- yolo\n", "a detector is a mapping"),
         ("- {name: a, onnx: a.onnx, order: gbr, classes: coco80}\n", "order is 'gbr'; it is one of rgb, bgr"),
-        (
-            "- {name: a, onnx: a.onnx, classes: [persn]}\n",
-            "'persn' is no label of Cityscapes. Did you mean",
-        ),
+        ("- {name: a, onnx: a.onnx, classes: [persn]}\n", "'persn' is no label of Cityscapes. Did you mean"),
         ("- {name: a, onnx: a.onnx, classes: [car], size: 640}\n", "size is 640; it takes 2 numbers"),
         ("- {name: a, onnx: a.onnx, classes: [car]}\n", "a.onnx: no such file"),
     ],

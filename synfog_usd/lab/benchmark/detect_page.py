@@ -11,15 +11,7 @@ from pathlib import Path
 from synfog_usd.base import files
 from synfog_usd.lab.benchmark import page
 from synfog_usd.lab.benchmark.bench import Bench
-from synfog_usd.lab.benchmark.detect import (
-    ALL,
-    LEFT,
-    STATES,
-    DetectionScore,
-    DetectionScores,
-    FoggedView,
-    fogs,
-)
+from synfog_usd.lab.benchmark.detect import ALL, LEFT, STATES, DetectionScore, DetectionScores, FoggedView, fogs
 
 COLOURS = {"visible": "#2f9e6e", "faint": "#e5a00d", "invisible": "#d6404a", "": "#9aa4ad"}
 """Of true boxes, as the gallery has them."""

@@ -404,13 +404,7 @@ def _slabs() -> list[Case]:
             bands=3,
         ),
         Case(
-            "slab of optical depth 1000, 50 cm under its top",
-            deep,
-            FULL,
-            SOLVED,
-            bands=2,
-            samples=128,
-            peer_samples=64,
+            "slab of optical depth 1000, 50 cm under its top", deep, FULL, SOLVED, bands=2, samples=128, peer_samples=64
         ),
         Case("two half slabs stacked are one", halves, FULL, SOLVED, bands=3),
     ]

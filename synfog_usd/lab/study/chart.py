@@ -483,12 +483,7 @@ def _lines(plan: ChartPlan, names: Sequence[str], auto: str, notes: list[str]) -
 
 
 def _points(
-    sweep: Sequence[_Line],
-    reference: Reference,
-    size: tuple[int, int],
-    variant: str,
-    auto: str,
-    target: float,
+    sweep: Sequence[_Line], reference: Reference, size: tuple[int, int], variant: str, auto: str, target: float
 ) -> list[Point]:
     from synfog_usd.render.models import MODELS
 

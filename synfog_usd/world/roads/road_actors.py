@@ -34,10 +34,7 @@ def moving(
     Raises:
         RecipeError: there is no room for so many people.
     """
-    return [
-        *_traffic(draws, road, attempt, ego_lane, station, room),
-        *_people(draws, road, attempt, station, room),
-    ]
+    return [*_traffic(draws, road, attempt, ego_lane, station, room), *_people(draws, road, attempt, station, room)]
 
 
 def _traffic(

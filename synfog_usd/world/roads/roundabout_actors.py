@@ -40,10 +40,7 @@ def moving(
     Raises:
         RecipeError: there is no room for so many people.
     """
-    return [
-        *_traffic(draws, junction, attempt, before, room),
-        *_people(draws, junction, attempt, view, room),
-    ]
+    return [*_traffic(draws, junction, attempt, before, room), *_people(draws, junction, attempt, view, room)]
 
 
 def _traffic(

@@ -142,10 +142,7 @@ def _mended(junction: Roundabout, rng: np.random.Generator, height: float) -> li
     rims = [np.c_[r * np.cos(angle), r * np.sin(angle)] for r in radius]
     patch = strip([np.c_[rim, np.full(len(angle), height)] for rim in rims[::-1]], "asphalt_patch")
     seams = [*rims, np.array([rims[0][0], rims[1][0]]), np.array([rims[0][-1], rims[1][-1]])]
-    return [
-        textured_from_above(patch, ASPHALT_TILE_M),
-        *(ribbon(seam, 0.035, 0.0016, "tar") for seam in seams),
-    ]
+    return [textured_from_above(patch, ASPHALT_TILE_M), *(ribbon(seam, 0.035, 0.0016, "tar") for seam in seams)]
 
 
 # -- signs
@@ -164,10 +161,7 @@ def signs(junction: Roundabout) -> list[Built]:
         ):
             place = shift(*junction.stand(*road.reference_line.place(s, 0.0))) @ turn(road.reference_line.origin[2])
             pole = tube([(0, 0, -0.2), (0, 0, high + SIGN_M)], 0.03, "galvanised", sides=10)
-            parts = [
-                untextured(pole),
-                *(part.moved(shift(0, 0, high)) for part in face),
-            ]
+            parts = [untextured(pole), *(part.moved(shift(0, 0, high)) for part in face)]
             built.append(Built(f"Sign_{name}_{arm + 1}", "traffic sign", tuple(part.moved(place) for part in parts)))
     return built
 

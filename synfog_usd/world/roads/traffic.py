@@ -233,11 +233,7 @@ class Care:
 
 
 def park(
-    recipe: Recipe,
-    bays: Iterable[tuple[Bay, np.random.Generator]],
-    share: float,
-    room: rules.Room,
-    care: Care = Care(),
+    recipe: Recipe, bays: Iterable[tuple[Bay, np.random.Generator]], share: float, room: rules.Room, care: Care = Care()
 ) -> list[Placement]:
     """One vehicle to a bay, in a share of the bays; each bay has numbers of its own."""
     placed = []
