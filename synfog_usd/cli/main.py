@@ -554,7 +554,7 @@ def asset_import(
         float | None, typer.Option(help="Its length in metres, the way it looks; scales the model to it.")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; guessed from the class if left out.")
+        str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; the file's, or m, if left out.")
     ] = None,
     up: Annotated[str | None, typer.Option(help="Axis of the file that points up, as +Z.")] = None,
     front: Annotated[str | None, typer.Option(help="Axis of the file that it looks along, as -Y.")] = None,

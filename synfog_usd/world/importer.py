@@ -1,13 +1,12 @@
 """A user's model becomes a component of the library: metres, Z up, front along +Y, on the ground, labelled.
 
-Takes a glTF, OBJ, PLY or USD file and a Cityscapes class.  Unit, up axis and front
-are taken from the file where it says them, and guessed from the sizes of such things
-where it does not; notes give the reason.  Each can be hints.
+Takes a glTF, OBJ, PLY or USD file and a Cityscapes class.  Unit, up axis and front are
+those that the user gives, else those of the file, else metres and the custom of such files.
+A size that no such thing has is refused with the option that mends it.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,12 +27,6 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft"
 AXES: dict[str, tuple[int, int]] = {
     sign + axis: (k, -1 if sign == "-" else 1) for k, axis in enumerate("XYZ") for sign in "+-"
 }
-CABIN_SHARE = 0.62
-"""Of the height: what lies above is the cabin of a car."""
-CABIN_OFFSET = 0.025
-"""Share of the length by which a cabin must lie behind the middle to tell the front."""
-ROLLS = ("car", "truck", "bus", "caravan", "trailer", "motorcycle", "bicycle", "rider")
-"""Classes that are longer than wide."""
 
 
 @dataclass(frozen=True)
@@ -185,129 +178,57 @@ def _cleaned(part: Part, textured: bool) -> Part:
 
 
 def _placed(points: Array, label: str, source: MeshFile, hints: Hints) -> tuple[Array, list[str]]:
-    """(4, 4) matrix from the file's axes and unit to the component's, and notes on how it was found.
+    """(4, 4) matrix from the file's axes and unit to the component's, and notes on how they were chosen.
 
     Raises:
         StageError: the model has no size.
-        ParameterError: no unit makes it a thing of its class.
+        ParameterError: no thing of its class has its size, and the user gave no scale.
     """
-    size = np.ptp(points, axis=0)
-    if not size.max() > 0:
+    if not np.ptp(points, axis=0).max() > 0:
         raise StageError("all its points are the same; export the model as a mesh")
-    miss, up_axis, ahead, why, factor = _reading(size, label, source, hints)
-    if miss > 0 and hints.length_m is None and hints.unit is None:
-        measures = " x ".join(f"{v:.4g}" for v in size)
-        raise ParameterError(
-            f"a {label} of {measures} (x, y, z in the file) fits no unit of {', '.join(UNITS)}; say its --length in "
-            f"metres, or another --class"
-        )
-    reason_up = (
-        "given" if hints.up else "as the file says" if source.up == up_axis else "guessed: so its sizes fit best"
-    )
-    axis, reason = (hints.front, "given") if hints.front else _front(points, label, up_axis, ahead, source)
-    notes = [f"unit: {factor:.5g} m, {why}", f"up: {up_axis}, {reason_up}", f"front: {axis}, {reason}"]
-    matrix = _frame(up_axis, axis)
-    turned = points @ matrix[:3, :3].T * factor
-    low, high = turned.min(axis=0), turned.max(axis=0)
+    up, front, notes = _axes(source, hints)
+    matrix = _frame(up, front)
+    turned = points @ matrix[:3, :3].T
+    length, width, height = np.ptp(turned, axis=0)[[1, 0, 2]]
+    if hints.length_m:
+        factor, why = hints.length_m / max(length, 1e-12), "length given"
+    elif hints.unit:
+        factor, why = UNITS[hints.unit], f"given as {hints.unit}"
+    elif source.metres_per_unit:
+        factor, why = source.metres_per_unit, "as the file says"
+    else:
+        factor, why = 1.0, "metres, as nothing says another"
+    low, high = turned.min(axis=0) * factor, turned.max(axis=0) * factor
     matrix[:3, :3] *= factor
     matrix[:3, 3] = -(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]
-    if miss > 0:
-        measures = " x ".join(f"{v:.2f}" for v in (high - low)[[1, 0, 2]])
-        allowed = ", ".join(f"{a:g} to {b:g}" for a, b in SIZES[label])
-        notes.append(f"warning: {measures} m is no usual size of a {label} (length, width, height {allowed} m)")
+    notes = [f"unit: {factor:.5g} m, {why}", *notes]
+    extent = [factor * side for side in (length, width, height)]
+    if not all(least <= side <= most for side, (least, most) in zip(extent, SIZES[label], strict=True)):
+        measures = " x ".join(f"{side:.4g}" for side in extent)
+        allowed = ", ".join(f"{least:g} to {most:g}" for least, most in SIZES[label])
+        words = f"{measures} m is no usual size of a {label} (length, width, height {allowed} m)"
+        if hints.length_m is None and hints.unit is None:
+            raise ParameterError(
+                f"{words}; it was read with {', '.join(notes)}. Give --unit, one of {', '.join(UNITS)}, or --length in "
+                f"metres, --up, --front, or another --class"
+            )
+        notes.append(f"warning: {words}")
     return matrix, notes
 
 
-Reading = tuple[float, str, int, str, float]
-"""By how much sizes miss the class, up axis, index of the axis of length, why, metres per unit."""
-
-
-def _reading(size: Array, label: str, source: MeshFile, hints: Hints) -> Reading:
-    """The likeliest unit and axes of a file whose points span `size` (3,).
-
-    What is given holds; then what the file says, unless sizes say otherwise: it would not be the first to be wrong.
-    """
-    guesses = {f"guessed: {unit}": metres for unit, metres in UNITS.items()}
-    factors = guesses
-    if hints.unit:
-        factors = {f"given as {hints.unit}": UNITS[hints.unit]}
-    elif hints.length_m:
-        factors = {"length given": 0.0}
-    elif source.metres_per_unit:
-        factors = {"as the file says": source.metres_per_unit}
-    upright = [up for up in ("+Y", "+Z") if hints.front is None or AXES[up][0] != AXES[hints.front][0]]
-    known_up = hints.up or source.up
-    best = _best(size, label, [known_up] if known_up else upright, hints, factors)
-    if source.metres_per_unit and not hints.unit and not hints.length_m and best[0] > 0:
-        guess = _best(size, label, [known_up] if known_up else upright, hints, guesses)
-        best = guess if guess[0] == 0 else best
-    if source.up and not hints.up and best[0] > 0 and not hints.front:
-        guess = _best(size, label, ["+Y", "+Z"], hints, factors)
-        best = guess if guess[0] == 0 else best
-    return best
-
-
-def _best(size: Array, label: str, ups: list[str], hints: Hints, factors: dict[str, float]) -> Reading:
-    """The reading whose sizes miss those of the class least."""
-    readings = []
-    for order, up in enumerate(ups):
-        flat = [k for k in range(3) if k != AXES[up][0]]
-        if hints.front:
-            aheads = [AXES[hints.front][0]]
-        elif label in ROLLS:
-            aheads = [max(flat, key=lambda k: size[k])]
-        else:
-            aheads = flat[::-1]
-        for ahead, (why, factor) in itertools.product(aheads, factors.items()):
-            across = next(k for k in flat if k != ahead)
-            metres = hints.length_m / size[ahead] if hints.length_m and size[ahead] > 0 else factor
-            extent = metres * size[[ahead, across, AXES[up][0]]]
-            readings.append((_miss(extent, label), round(_off_middle(extent, label), 6), order, up, ahead, why, metres))
-    miss, _, _, up, ahead, why, metres = min(readings)
-    return miss, up, ahead, why, float(metres)
-
-
-def _miss(extent: Array, label: str) -> float:
-    """How far sizes lie outside those of a class, as the sum of logarithms; 0 where all fit."""
-    logs = np.log(np.maximum(extent, 1e-9))
-    return float(sum(max(math.log(a) - v, v - math.log(b), 0.0) for v, (a, b) in zip(logs, SIZES[label], strict=True)))
-
-
-def _off_middle(extent: Array, label: str) -> float:
-    """Distance from the middle of the ranges, in half ranges of logarithms, squared and summed."""
-    logs = np.log(np.maximum(extent, 1e-9))
-    return float(
-        sum(
-            ((v - math.log(a * b) / 2) / (math.log(b / a) / 2)) ** 2
-            for v, (a, b) in zip(logs, SIZES[label], strict=True)
-        )
-    )
-
-
-def _front(points: Array, label: str, up: str, ahead: int, model: MeshFile) -> tuple[str, str]:
-    """Which way it looks, and why."""
-    custom = model.front or ("+Z" if up == "+Y" else "-Y")
-    if label not in ROLLS:
-        return (
-            custom,
-            "as its format has it" if model.front else "by custom of its up axis; give --front if it looks elsewhere",
-        )
-    axis = "XYZ"[ahead]
-    if label == "car":
-        height = points[:, AXES[up][0]] * AXES[up][1]
-        cabin = points[height > height.min() + CABIN_SHARE * np.ptp(height), ahead]
-        along = points[:, ahead]
-        offset = ((cabin.min() + cabin.max()) / 2 - (along.min() + along.max()) / 2) / np.ptp(along)
-        if abs(offset) > CABIN_OFFSET:
-            return (
-                "-" if offset > 0 else "+"
-            ) + axis, f"guessed: its cabin lies {abs(offset):.0%} of the length behind the middle"
-    if custom[1] == axis:
-        return (
-            custom,
-            "as its format has it" if model.front else "by custom of its up axis; give --front if it looks backward",
-        )
-    return "+" + axis, "guessed: its longer side; give --front if it looks backward"
+def _axes(source: MeshFile, hints: Hints) -> tuple[str, str, list[str]]:
+    """Up axis and front of a file, and a note on each."""
+    up, why_up = hints.up or source.up, "given" if hints.up else "as the file says"
+    if up is None:
+        lies_along_y = hints.front is not None and hints.front[1] == "Y"
+        up, why_up = "+Z" if lies_along_y else "+Y", "by custom; give --up if it is another"
+    front, why_front = hints.front, "given"
+    if front is None and source.front and source.front[1] != up[1]:
+        front, why_front = source.front, "as its format has it"
+    if front is None:
+        front = "+Z" if up[1] == "Y" else "-Y"
+        why_front = "by custom of its up axis; give --front if it looks elsewhere"
+    return up, front, [f"up: {up}, {why_up}", f"front: {front}, {why_front}"]
 
 
 def _frame(up: str, front: str) -> Array:

@@ -1,18 +1,16 @@
 """A user's mesh file as triangles and materials: glTF, OBJ, PLY by trimesh, USD by itself.
 
-How many triangles there are is asked of headers before anything is expanded.
-What cannot be read is one error; notes say what is left out.
+What cannot be read is one error; notes say what is left out.  The command reads in a child with limits, which end a
+file that unfolds without end.
 """
 
 from __future__ import annotations
 
-import json
 import re
-import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     import trimesh
     from PIL import Image
 
-MOST_TRIANGLES = 50_000_000
 MOST_PICTURE_PX = 80_000_000
 MOST_TEXTURE_PX = 4096
 """Longer sides are scaled down to this."""
@@ -59,15 +56,13 @@ def read(file: Path) -> MeshFile:
     """All triangles of a file.
 
     Raises:
-        StageError: it is missing, of another kind, damaged, empty or larger than `MOST_TRIANGLES`.
+        StageError: it is missing, of another kind, damaged or empty.
     """
     kind = file.suffix.lower()
     if kind not in MESHES + STAGES:
         raise StageError(f"{file}: not a kind of file that can be imported; allowed are {', '.join(MESHES + STAGES)}")
     if not file.is_file():
         raise StageError(f"{file}: no such file")
-    if kind not in STAGES:
-        _refuse_many(file, _counted(file, kind))
     model = _of_stage(file) if kind in STAGES else _of_mesh(file, kind)
     if not sum(len(p.faces) for p in model.parts):
         raise StageError(f"{file}: no triangles in it; export the model as a mesh")
@@ -90,82 +85,6 @@ def _decode(file: Path, name: str, picture: Image.Image) -> None:
         picture.load()
     except Exception as error:  # a damaged picture can fail anywhere in its decoder
         raise StageError(f"{file}: picture {name} cannot be read ({_short(error)}); save it again as PNG") from error
-
-
-def _refuse_many(file: Path, triangles: int) -> None:
-    if triangles > MOST_TRIANGLES:
-        raise StageError(
-            f"{file}: {triangles:,} triangles, more than the {MOST_TRIANGLES:,} that are read; decimate it first, a "
-            f"car needs about 20,000"
-        )
-
-
-def _counted(file: Path, kind: str) -> int:
-    """Number of triangles that a file claims, at a small cost."""
-    try:
-        if kind == ".ply":
-            return _ply_faces(file)
-        if kind == ".obj":
-            return _obj_triangles(file)
-        return _gltf_triangles(json.loads(_glb_json(file) if kind == ".glb" else file.read_bytes()), file)
-    except SynfogError:
-        raise
-    except Exception as error:  # a header can be wrong in any way
-        raise StageError(f"{file}: damaged, or not what its suffix says ({_short(error)})") from error
-
-
-def _ply_faces(file: Path) -> int:
-    with file.open("rb") as handle:
-        head = handle.read(65536).split(b"end_header", 1)
-    if len(head) < 2 or not head[0].startswith(b"ply"):
-        raise ValueError("no PLY header")
-    rows = [line.split() for line in head[0].splitlines()]
-    counts = {row[1]: int(row[2]) for row in rows if len(row) == 3 and row[0] == b"element"}
-    if min(counts.values(), default=0) < 0 or sum(counts.values()) > file.stat().st_size:
-        raise ValueError(f"its header claims {sum(counts.values()):,} rows in {file.stat().st_size:,} bytes")
-    return counts.get(b"face", 0)
-
-
-def _obj_triangles(file: Path) -> int:
-    total = 0
-    with file.open("rb") as handle:
-        for line in handle:
-            if line.startswith(b"f "):
-                total += max(0, len(line.split()) - 3)
-                if total > MOST_TRIANGLES:
-                    break
-    return total
-
-
-def _glb_json(file: Path) -> bytes:
-    with file.open("rb") as handle:
-        magic, _version, _length, size, kind = struct.unpack("<4sIII4s", handle.read(20))
-        if magic != b"glTF" or kind != b"JSON" or size > file.stat().st_size:
-            raise ValueError("no GLB header")
-        return handle.read(size)
-
-
-def _gltf_triangles(scene: dict[str, Any], file: Path) -> int:
-    """Sum over nodes, so that a mesh placed a thousand times counts a thousand times."""
-    accessors = scene.get("accessors", [])
-    for item in [*scene.get("buffers", []), *scene.get("images", [])]:
-        uri = item.get("uri", "")
-        if (
-            uri
-            and not uri.startswith("data:")
-            and not (file.parent / uri).resolve().is_relative_to(file.parent.resolve())
-        ):
-            raise StageError(f"{file}: refers to {uri}, outside its own folder; copy it beside the file")
-    each = []
-    for mesh in scene.get("meshes", []):
-        rows = [
-            p.get("indices", p.get("attributes", {}).get("POSITION"))
-            for p in mesh.get("primitives", [])
-            if p.get("mode", 4) in (4, 5, 6)
-        ]
-        each.append(sum(int(accessors[row]["count"]) // 3 for row in rows if row is not None))
-    placed = [node["mesh"] for node in scene.get("nodes", []) if "mesh" in node]
-    return max(sum(each[i] for i in placed), sum(each))
 
 
 def _short(error: BaseException) -> str:
@@ -262,12 +181,8 @@ def _of_stage(file: Path) -> MeshFile:
             raise StageError(f"{file}: not a USD file, or damaged")
         info = layer.pseudoRoot.GetInfo  # of the stage itself, USD gives no number that an exporter stored as float
         model = MeshFile(metres_per_unit=float(info("metersPerUnit")), up=f"+{info('upAxis')}")
-        meshes = list(_visible(stage))
-        _refuse_many(
-            file, sum(int(np.maximum(np.array(m.GetFaceVertexCountsAttr().Get() or []) - 2, 0).sum()) for m in meshes)
-        )
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-        for mesh in meshes:
+        for mesh in _visible(stage):
             _take_mesh(model, mesh, np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())), file.parent.resolve())
     except SynfogError:
         raise
