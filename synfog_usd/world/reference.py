@@ -17,7 +17,7 @@ from typing import Any
 
 from synfog_usd.base.files import write_bytes
 from synfog_usd.world import catalogue
-from synfog_usd.world.language import FOG, FOG_DEFAULT, SCHEMA, Categorical, Continuous, Parameter, sections
+from synfog_usd.world.language import FOG, FOG_DEFAULT, SCHEMA, Categorical, Continuous, Parameter
 from synfog_usd.world.parameters import LANE, WORLDS, World, named
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
 
@@ -34,6 +34,7 @@ which editors complete and underline: `python -m synfog_usd.world.reference`. Ho
 LANES = """\
 Lanes from left to right, `{KIND: width}` each; those that are driven also say their `way`: 1 away from the camera, -1 towards it.
 Lanes of way -1 lie left of those of way 1."""  # noqa: E501
+ROWS = "A list of rows of props; earlier rows go first where there is no room."
 STARS = {
     "*": "any model",
     "*sky": "any sky in nits",
@@ -47,62 +48,34 @@ def page() -> str:
     """The page, as Markdown."""
     lines = [HEAD]
     for name, world in WORLDS.items():
-        lines += [
-            f"## world: {name}",
-            "",
-            f"{world.about} Keys of the recipe: {', '.join(f'`{key}`' for key in world.keys)}.",
-            "",
-        ]
-        for section in sections(world.parameters):
-            lines += [
-                f"### {section} ({name})",
-                "",
-                *_table(
-                    {
-                        key.partition(".")[2]: parameter
-                        for key, parameter in world.parameters.items()
-                        if _in(key, section)
-                    }
-                ),
-                "",
-            ]
+        keys = ", ".join(f"`{key}`" for key in world.keys)
+        lines += [f"## world: {name}", "", f"{world.about} Keys of the recipe: {keys}.", ""]
+        for section, parameters in _by_section(world).items():
+            lines += [f"### {section} ({name})", "", *_table(parameters), ""]
         if world.lanes:
-            lines += [
-                f"### lane_section ({name})",
-                "",
-                "Lanes from left to right, `{KIND: width}` each; those that are driven also say their `way`: 1 away "
-                "from the camera, -1 ",
-            ]
-            lines[-1] += "towards it. Lanes of way -1 lie left of those of way 1."
-            lines += [
-                "",
-                f"Kinds: {', '.join(f'`{kind}`' for kind in KINDS)}; driven: "
-                f"{', '.join(f'`{kind}`' for kind in DRIVEN)}.",
-                "",
-            ]
+            kinds, driven = (", ".join(f"`{kind}`" for kind in group) for group in (KINDS, DRIVEN))
+            lines += [f"### lane_section ({name})", "", LANES, "", f"Kinds: {kinds}; driven: {driven}.", ""]
             lines += [*_table({"KIND": LANE}), ""]
         if world.row:
-            lines += [
-                f"### rows ({name})",
-                "",
-                "A list of rows of props; earlier rows go first where there is no room.",
-                "",
-                *_table(world.row),
-                "",
-            ]
+            lines += [f"### rows ({name})", "", ROWS, "", *_table(world.row), ""]
     lines += ["## fog", "", "A list of visibilities, one variant each, in every world; clear air is always there.", ""]
     lines += [*_table({"fog": FOG}, left_out=str(list(FOG_DEFAULT))), ""]
     return "\n".join(lines)
 
 
+def _by_section(world: World) -> dict[str, dict[str, Parameter]]:
+    """Parameters by section and key."""
+    result: dict[str, dict[str, Parameter]] = {}
+    for name, parameter in world.parameters.items():
+        section, _, key = name.partition(".")
+        result.setdefault(section, {})[key] = parameter
+    return result
+
+
 def schema() -> dict[str, Any]:
     """JSON Schema, draft 7, of a recipe."""
     first, *further = WORLDS
-    every = [
-        FOG,
-        LANE,
-        *(parameter for world in WORLDS.values() for parameter in (*world.parameters.values(), *world.row.values())),
-    ]
+    of_worlds = [p for world in WORLDS.values() for p in (*world.parameters.values(), *world.row.values())]
     chosen: dict[str, Any] = {"properties": {"world": {"enum": further}}, "required": ["world"]}
     rules = [{"if": {"not": chosen}, "then": _world(WORLDS[first])}]
     rules += [
@@ -119,7 +92,7 @@ def schema() -> dict[str, Any]:
             "world": {"enum": list(WORLDS), "default": first, "description": "What is drawn."},
         },
         "allOf": rules,
-        "definitions": {_form(parameter): _forms(parameter) for parameter in every},
+        "definitions": {_form(parameter): _forms(parameter) for parameter in [FOG, LANE, *of_worlds]},
     }
 
 
@@ -140,26 +113,16 @@ def _world(world: World) -> dict[str, Any]:
             "description": "Visibilities (MOR) in metres.",
         },
     }
-    for section in sections(world.parameters):
-        properties[section] = _mapping(
-            {key.partition(".")[2]: parameter for key, parameter in world.parameters.items() if _in(key, section)}
-        )
+    properties |= {section: _mapping(parameters) for section, parameters in _by_section(world).items()}
     if world.row:
-        properties["rows"] = {
-            "type": "array",
-            "items": _mapping(world.row) | {"required": ["models"]},
-            "description": "Props along the road.",
-        }
+        row = _mapping(world.row) | {"required": ["models"]}
+        properties["rows"] = {"type": "array", "items": row, "description": "Props along the road."}
     if world.lanes:
-        properties["lane_section"] = {
-            "type": "array",
-            "minItems": 1,
-            "items": {"anyOf": [_lane(kind) for kind in KINDS]},
-        }
+        lanes = {"anyOf": [_lane(kind) for kind in KINDS]}
+        properties["lane_section"] = {"type": "array", "minItems": 1, "items": lanes}
         properties["lane_section"]["description"] = "Lanes from left to right."
-    return {"properties": properties, "additionalProperties": False} | (
-        {"required": ["lane_section"]} if world.lanes else {}
-    )
+    needed = {"required": ["lane_section"]} if world.lanes else {}
+    return {"properties": properties, "additionalProperties": False} | needed
 
 
 def _lane(kind: str) -> dict[str, Any]:
@@ -235,10 +198,6 @@ def _forms(parameter: Parameter) -> dict[str, Any]:
 
 def _one(word: str, value: Mapping[str, Any]) -> dict[str, Any]:
     return {"type": "object", "properties": {word: value}, "required": [word], "additionalProperties": False}
-
-
-def _in(key: str, section: str) -> bool:
-    return key.startswith(f"{section}.")
 
 
 def _table(parameters: Mapping[str, Parameter], *, left_out: str = "") -> list[str]:
