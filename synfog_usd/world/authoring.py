@@ -11,10 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.world import skies
 from synfog_usd.world.components import label
 from synfog_usd.world.library import model
-from synfog_usd.world.shapes import Array, shift, turn
+from synfog_usd.world.shapes import shift, turn
 from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
 
 APERTURE = 0.36  # tenths of a metre

@@ -7,6 +7,7 @@ A size that no such thing has is refused with the option that mends it.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Tf
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import OutputError, ParameterError, StageError, did_you_mean
 from synfog_usd.base.files import write_whole
 from synfog_usd.world.components import Component, write_component
@@ -21,7 +23,7 @@ from synfog_usd.world.library import SIZES, LibraryModel
 from synfog_usd.world.library import read as read_model
 from synfog_usd.world.lod import with_low
 from synfog_usd.world.meshfiles import MOST_TEXTURE_PX, MeshFile, read
-from synfog_usd.world.shapes import Array, Part, by_material
+from synfog_usd.world.shapes import Part, by_material
 
 UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "dm": 0.1}
 AXES: dict[str, tuple[int, int]] = {
@@ -118,7 +120,7 @@ def import_asset(
     parts, notes = _clean_parts(file, source)
     matrix, how = _placed(np.concatenate([p.points for p in parts]), label, source, hints)
     for picture, image in source.pictures.items():
-        write_whole(folder / "textures" / picture, lambda path, image=image: _save(image, path))
+        write_whole(folder / "textures" / picture, functools.partial(_save, image))
     component = with_low(
         Component(
             name,
@@ -209,8 +211,8 @@ def _placed(points: Array, label: str, source: MeshFile, hints: Hints) -> tuple[
         words = f"{measures} m is no usual size of a {label} (length, width, height {allowed} m)"
         if hints.length_m is None and hints.unit is None:
             raise ParameterError(
-                f"{words}; it was read with {', '.join(notes)}. Give --unit, one of {', '.join(UNITS)}, or --length in "
-                f"metres, --up, --front, or another --class"
+                f"{words}; it was read with {factor:g} m a unit, {up} up and {front} ahead. Give --unit, one of "
+                f"{', '.join(UNITS)}, or --length, --up or --front, or another --class"
             )
         notes.append(f"warning: {words}")
     return matrix, notes

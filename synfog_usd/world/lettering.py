@@ -9,7 +9,8 @@ import itertools
 
 import numpy as np
 
-from synfog_usd.world.shapes import Array, Part, quads
+from synfog_usd.base.arrays import Array
+from synfog_usd.world.shapes import Part, quads
 
 GLYPHS = {  # strokes on a grid of 4 by 6, points as digit pairs
     "A": "002640 1232",

@@ -184,7 +184,6 @@ def read(path: Path) -> LibraryModel:
     variants = {name: tuple(sets.GetVariantSet(name).GetVariantNames()) for name in sets.GetNames()}
     label = str(names[0])
     group = "lamp" if label == "pole" and "lamps" in variants else GROUPS.get(label, "furniture")
-    low, high = (tuple(float(v) for v in corner) for corner in (bound.GetMin(), bound.GetMax()))
-    return LibraryModel(
-        prim.GetName(), label, group, low, high, MappingProxyType(variants), path, prim.GetDocumentation()
-    )  # type: ignore[arg-type]
+    low, high = ((float(x), float(y), float(z)) for x, y, z in (bound.GetMin(), bound.GetMax()))
+    about = prim.GetDocumentation()
+    return LibraryModel(prim.GetName(), label, group, low, high, MappingProxyType(variants), path, about)

@@ -13,9 +13,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Indices as Index
 from synfog_usd.world.components import Component
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.shapes import COLLAPSE, Array, Index, Part, by_material, face_normals, join
+from synfog_usd.world.shapes import COLLAPSE, Part, by_material, face_normals, join
 
 LIMIT_M = 0.0195  # 2 cm, less half a millimetre that samples of a surface and five decimals can miss
 WORTH = 3000

@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Indices as Index
 from synfog_usd.base.colour import srgb_decode
 from synfog_usd.base.errors import StageError, SynfogError
 from synfog_usd.base.fence import Fence
 from synfog_usd.world.materials import Colour, Material
-from synfog_usd.world.shapes import Array, Index, Part
+from synfog_usd.world.shapes import Part
 
 if TYPE_CHECKING:
     import trimesh
@@ -121,14 +123,18 @@ def _of_mesh(file: Path, kind: str) -> MeshFile:
 
 def _take(model: MeshFile, mesh: trimesh.Trimesh) -> None:
     """Add a mesh of trimesh with its material."""
+    import trimesh
+
     visual = mesh.visual
     look = getattr(visual, "material", None)
     picture = None
     if look is None:
-        colour = _linear(np.asarray(visual.main_color[:3]) / 255.0) if visual.defined else (0.3, 0.3, 0.3)
+        colour = (0.3, 0.3, 0.3)
+        if isinstance(visual, trimesh.visual.ColorVisuals) and visual.defined:
+            colour = _linear(np.asarray(visual.main_color[:3]) / 255.0)
+            if "colours of vertices became one" not in model.notes:
+                model.notes.append("colours of vertices became one")
         surface = Material(colour, 0.6)
-        if visual.defined and "colours of vertices became one" not in model.notes:
-            model.notes.append("colours of vertices became one")
     else:
         physical = hasattr(look, "baseColorFactor")
         rgb = np.asarray(look.main_color[:3]) / 255.0
@@ -136,7 +142,7 @@ def _take(model: MeshFile, mesh: trimesh.Trimesh) -> None:
         metallic = look.metallicFactor if physical and look.metallicFactor is not None else 0.0
         rough = look.roughnessFactor if physical and look.roughnessFactor is not None else (1.0 if physical else 0.6)
         # factors of glTF are linear, colours of OBJ are meant for the screen; under a picture OBJ's is not a factor
-        colour = tuple(float(v) for v in rgb) if physical else _linear(rgb)
+        colour = _colour(rgb) if physical else _linear(rgb)
         if picture is not None and not (physical and look.baseColorFactor is not None):
             colour = (1.0, 1.0, 1.0)
         surface = Material(colour, float(rough), float(metallic))

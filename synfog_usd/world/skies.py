@@ -77,9 +77,8 @@ def read(path: Path) -> Sky | None:
     if any(value is None for value in values):
         return None
     about, cie, *numbers = values
-    return Sky(
-        path.stem, str(about), int(cie), *(float(f"{float(value):.6g}") for value in numbers), path
-    )  # float32 in the file
+    height, azimuth, lux, zenith, cct = (float(f"{float(value):.6g}") for value in numbers)  # float32 in the file
+    return Sky(path.stem, str(about), int(cie), height, azimuth, lux, zenith, cct, path)
 
 
 def sky_of(name: str) -> Sky:

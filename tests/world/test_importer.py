@@ -20,6 +20,8 @@ from synfog_usd.world.importer import import_asset
 from synfog_usd.world.library import library
 
 LENGTH, WIDTH, HEIGHT = 4.4, 1.8, 1.5
+AXES = {"up": "+Z", "front": "+Y"}
+"""Of `car`."""
 
 
 def car() -> trimesh.Trimesh:
@@ -142,7 +144,7 @@ def test_picture_and_factor_of_gltf_are_kept_and_colours_of_obj_become_linear(tm
     (tmp_path / "kd.obj").write_text(
         "mtllib kd.mtl\nusemtl red\n" + "\n".join(line for line in text.splitlines() if line[:2] in ("v ", "f ")) + "\n"
     )
-    model = import_asset(tmp_path / "kd.obj", "car", out=tmp_path / "lib").model
+    model = import_asset(tmp_path / "kd.obj", "car", out=tmp_path / "lib", **AXES).model
     stage = Usd.Stage.Open(str(model.path))
     shaders = [UsdShade.Shader(p) for p in stage.Traverse() if p.IsA(UsdShade.Shader)]
     expected = colour.models.eotf_sRGB(np.round(np.array([0.5, 0.1, 0.05]) * 255) / 255)
@@ -274,17 +276,17 @@ def test_wrong_wishes_are_told_with_what_is_allowed(tmp_path):
 def test_a_taken_name_is_not_written_over(tmp_path):
     file = tmp_path / "car.ply"
     car().export(file)
-    first = import_asset(file, "car", out=tmp_path / "lib").model.path.read_bytes()
+    first = import_asset(file, "car", out=tmp_path / "lib", **AXES).model.path.read_bytes()
     with pytest.raises(OutputError, match="already"):
         import_asset(file, "car", out=tmp_path / "lib", unit="m")
-    again = import_asset(file, "car", out=tmp_path / "other").model.path.read_bytes()
+    again = import_asset(file, "car", out=tmp_path / "other", **AXES).model.path.read_bytes()
     assert first == again
 
 
 def test_the_command_says_what_it_made_and_one_line_of_error(tmp_path):
     file = tmp_path / "car.ply"
     car().export(file)
-    command = ["asset", "import", file, "-o", tmp_path / "lib", "--class"]
+    command = ["asset", "import", file, "-o", tmp_path / "lib", "--up", "+Z", "--front", "+Y", "--class"]
     done = cli.run(*command, "car", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)

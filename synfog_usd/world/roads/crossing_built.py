@@ -23,7 +23,7 @@ from synfog_usd.world.roads.crossing import (
     Crossing,
     ground_height,
 )
-from synfog_usd.world.roads.land import Scatter
+from synfog_usd.world.roads.horizon import Scatter
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
 from synfog_usd.world.spec import Placement, View, WorldSpec
 

@@ -14,9 +14,11 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Indices as Index
 from synfog_usd.base.seeds import stream
 from synfog_usd.world.materials import Material
-from synfog_usd.world.shapes import Array, Index, Part, box, by_material, join, quad, quads, shift, tube, turn
+from synfog_usd.world.shapes import Part, box, by_material, join, quad, quads, shift, tube, turn
 
 Tree = tuple[str, Mapping[str, str]]
 LAND_M = 2400.0
@@ -128,7 +130,8 @@ class Horizon:
     def borders(self) -> tuple[Array, Array]:
         """Where fields end, along x and along y [m]."""
         rng = stream(self.seed, "horizon", "fields")
-        return tuple(np.cumsum(rng.uniform(60, 230, 50)) - 0.5 * 50 * 145 for _ in range(2))  # type: ignore[return-value]
+        along_x, along_y = (np.cumsum(rng.uniform(60, 230, 50)) - 0.5 * 50 * 145 for _ in range(2))
+        return along_x, along_y
 
     @cached_property
     def _crops(self) -> Index:
@@ -185,8 +188,11 @@ class Horizon:
         """Woods and hedgerows, houses, and what stands out against the sky."""
         return [scatter for scatter in (*self._plants(), *self._houses(), *self._skyline()) if len(scatter.points)]
 
-    def _there(self, x: Array, y: Array, least_m: float) -> tuple[Array, Array]:
-        """(N, 3) places on the ground of those farther than that from the road, and which ones they are."""
+    def _there(self, places: Array, least_m: float) -> tuple[Array, Index]:
+        """(N, 3) on the ground of those of (M, 2) places that are farther than that from the road, and which these
+        are.
+        """
+        x, y = places.T
         dry = True if self.flooded is None else ~self.flooded(x, y)
         keep = np.flatnonzero((self.away(x, y) > least_m) & dry)
         return np.c_[x[keep], y[keep], self.ground(x[keep], y[keep])], keep
@@ -195,9 +201,9 @@ class Horizon:
         rng = stream(self.seed, "horizon", "plants")
         places, sizes = [], []
         across, along = self.borders
-        near = lambda line: np.flatnonzero(np.abs(line[:-1] + np.diff(line) / 2) < 1000)  # noqa: E731
-        for i in near(across):
-            for j in near(along):
+        near = [np.flatnonzero(np.abs(line[:-1] + np.diff(line) / 2) < 1000) for line in (across, along)]
+        for i in near[0]:
+            for j in near[1]:
                 (x0, x1), (y0, y1) = across[i : i + 2], along[j : j + 2]
                 if CROPS[self._crops[i + 1, j + 1]] == "field_wood":
                     far = float(self.away(np.array([(x0 + x1) / 2]), np.array([(y0 + y1) / 2]))[0])
@@ -215,7 +221,7 @@ class Horizon:
         if not places:
             return []
         p, size = np.concatenate(places), np.concatenate(sizes)
-        points, keep = self._there(*p.T, NEAR_M + 20.0)
+        points, keep = self._there(p, NEAR_M + 20.0)
         size = size[keep]
         keep = rng.permutation(len(points))[:1400]
         models = mixture(self.seed, "distant")
@@ -253,7 +259,7 @@ class Horizon:
                 groups.append(middle + rng.normal(0, (70, 45), (int(rng.integers(9, 34)), 2)))
             p = np.concatenate(groups)
             facing, most = rng.uniform(0, 360, len(p)), 120
-        points, keep = self._there(*p.T, NEAR_M)
+        points, keep = self._there(p, NEAR_M)
         facing = facing[keep]
         order = np.argsort(np.hypot(points[:, 0] - x, points[:, 1] - y), kind="stable")[:most]
         points, facing = points[order], facing[order]
@@ -290,7 +296,7 @@ class Horizon:
             )
             s = (np.arange(n) - (n - 1) / 2) * step
             p = middle + np.c_[s * np.cos(along), s * np.sin(along)] + rng.normal(0, 0.08 * step + 1e-6, (n, 2))
-            points, _ = self._there(*p.T, 160.0)
+            points, _ = self._there(p, 160.0)
             turns = np.full(len(points), np.degrees(along))
             if name in ("church", "blocks"):
                 turns = rng.uniform(0, 360, len(points))

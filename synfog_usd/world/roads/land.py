@@ -10,11 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads.horizon import LAND_M, Horizon, Scatter, mixture
 from synfog_usd.world.roads.network import BEHIND_WALL_M, CUTTING_M, RIVER, Road
 from synfog_usd.world.roads.surface import GRASS_TILE_M, stations
-from synfog_usd.world.shapes import Array, Part, quads, strip
+from synfog_usd.world.shapes import Part, quads, strip
 
 NEAR_M = 60.0
 OUT_M = (0.0, 0.4, 0.7, 1.6, 2.2, 4.2, 7.0, 12.0, 20.0, 32.0, 45.0, 60.0)
@@ -105,7 +106,7 @@ def _open(road: Road, horizon: Horizon) -> list[Part]:
     along, across = np.gradient(z, axes[1], axes[0])
     normals = np.stack([-across, -along, np.ones_like(z)], axis=-1).reshape(-1, 3)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return horizon.sown(part, normals, ~covered.ravel()[part.faces].all(axis=1))
+    return horizon.sown(part, normals, np.asarray(~covered.ravel()[part.faces].all(axis=1)))
 
 
 def river(road: Road, horizon: Horizon) -> Part:

@@ -93,7 +93,7 @@ class Road:
 
     def over_line(self, t: npt.ArrayLike, h: npt.ArrayLike = 0.0) -> Array:
         """Height over the reference line [m] of what lies h [m] over a carriageway level across."""
-        return np.asarray(h - self.crossfall * self.lane_section.from_crown(t))
+        return np.asarray(np.asarray(h, dtype=np.float64) - self.crossfall * self.lane_section.from_crown(t))
 
     def ground(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """Height of the ground [m] at stations and offsets, broadcast."""

@@ -80,7 +80,8 @@ def _laid(level: Road, crossfall: float, view: View, placed: Sequence[Placement]
     and more as they stand on the slopes below them.
     """
     road = replace(level, crossfall=crossfall)
-    x, y, heading = np.array([(p.x, p.y, math.radians(p.heading)) for p in (view, *placed)]).T
+    standing: list[View | Placement] = [view, *placed]
+    x, y, heading = np.array([(p.x, p.y, math.radians(p.heading)) for p in standing]).T
     drop = road.height(x, y) - level.height(x, y)
     slopes = []
     for right, ahead in ((0.5, 0.0), (0.0, 0.5)):  # over a metre

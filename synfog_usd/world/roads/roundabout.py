@@ -9,8 +9,9 @@ in arcs, so that every kerb between two arms is one smooth line.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -170,7 +171,8 @@ class Roundabout(Road):
         begins = math.sqrt(self.radius**2 - self.half_island**2), foot - r * math.sin(math.atan2(foot, e + r))
         near, length = self.radius + HOLD_M + TAPER_M, road.reference_line.length
         edges = []
-        for begin, offset in zip(begins, (self.spread, lambda s: self.edge(arm, way, s)), strict=True):
+        offset: Callable[[Array], Array]
+        for begin, offset in zip(begins, (self.spread, functools.partial(self.edge, arm, way)), strict=True):
             s = np.r_[np.arange(begin, near, COARSE_M / 2), np.arange(near, length, COARSE_M), length]
             x, y = road.reference_line.place(s, way * offset(s))
             edges.append(np.c_[x, y, np.zeros(len(s))][::way])
@@ -289,16 +291,10 @@ class Roundabout(Road):
         first, last = np.isin(number, line.ends[:-1]), np.isin(number + 1, line.ends[1:])
         d = np.diff(line.points, axis=0)
         around = np.stack([np.where(first, number, number - 1), np.where(last, number - 1, number)])
-        return Pieces(
-            np.clip(around, 0, len(d) - 1),
-            *line.points[:-1].T,
-            *d.T,
-            (d * d).sum(axis=-1),
-            line.kerb[:-1],
-            np.diff(line.kerb),
-            first[:-1],
-            last[1:],
-        )
+        (x, y), (dx, dy) = line.points[:-1].T, d.T
+        square, rise = (d * d).sum(axis=-1), np.diff(line.kerb)
+        around = np.clip(around, 0, len(d) - 1)
+        return Pieces(around, x, y, dx, dy, square, line.kerb[:-1], rise, first[:-1], last[1:])
 
     @cached_property
     def _islands(self) -> tuple[tuple[tuple[float, float], ...], ...]:

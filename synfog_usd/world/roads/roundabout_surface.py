@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import spatial
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M, Material
 from synfog_usd.world.roads import land
@@ -35,7 +36,7 @@ from synfog_usd.world.roads.roundabout import (
     Roundabout,
 )
 from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, PAVING_TILE_M, WORN, bend
-from synfog_usd.world.shapes import Array, Part, strip, textured_from_above
+from synfog_usd.world.shapes import Part, strip, textured_from_above
 
 LOOKS = {"setts": Material((0.52, 0.49, 0.47), texture="paving.jpg", roughness=0.75)}
 """Materials that only roundabouts have: the apron's setts, the slabs' texture at a quarter of its size."""

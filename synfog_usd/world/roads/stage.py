@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
 from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
@@ -28,7 +29,7 @@ from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
 from synfog_usd.world.roads.rules import model
 from synfog_usd.world.roads.structures import Built, LitPanes
-from synfog_usd.world.shapes import Array, Part, by_material, quads, shift, turn
+from synfog_usd.world.shapes import Part, by_material, quads, shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
 
 LOOKS: dict[str, Material] = {

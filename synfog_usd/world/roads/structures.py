@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.world.lettering import letters
 from synfog_usd.world.roads.network import AT_PORTAL, Road
 from synfog_usd.world.roads.surface import bend, sweep
-from synfog_usd.world.shapes import Array, Part, box, fan, quad, soft_box, strip, tube, untextured
+from synfog_usd.world.shapes import Part, box, fan, quad, soft_box, strip, tube, untextured
 from synfog_usd.world.spec import Placement, View
 
 RAIL_TOP_M = 0.75

@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
 from synfog_usd.world.materials import LANE_TEXTURE_HALF_M, LANE_TEXTURE_LANE_M, LANE_TEXTURE_LENGTH_M
 from synfog_usd.world.roads.asphalt import REPAIRS, Asphalt, puddles
 from synfog_usd.world.roads.lane_section import KERB_M, RAISED, Lane
 from synfog_usd.world.roads.network import Road
-from synfog_usd.world.shapes import Array, Part, disc, rectangle, strip, textured_from_above
+from synfog_usd.world.shapes import Part, disc, rectangle, strip, textured_from_above
 
 WORN = Asphalt()
 FINE_M, COARSE_M = 1.0, 4.0
