@@ -155,7 +155,7 @@ def test_picture_and_factor_of_gltf_are_kept_and_colours_of_obj_become_linear(tm
 def test_a_size_that_no_car_has_is_refused_with_the_options_that_mend_it(tmp_path, factor, up):
     """Centimetres taken for metres, and a car that stands on its nose."""
     turned(car(), up, "-Y" if up == "+Z" else "+Z", factor).export(tmp_path / "car.obj")
-    with pytest.raises(ParameterError, match=r"no usual size of a car .* Give --unit.*--up, --front") as error:
+    with pytest.raises(ParameterError, match=r"no usual size of a car .* Give --unit.*--up or --front") as error:
         import_asset(tmp_path / "car.obj", "car", out=tmp_path / "lib")
     assert "\n" not in str(error.value) and not (tmp_path / "lib").exists()
 

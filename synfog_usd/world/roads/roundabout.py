@@ -170,9 +170,9 @@ class Roundabout(Road):
         e, foot = self.half_island + self.lane_width, self.tangent(r)
         begins = math.sqrt(self.radius**2 - self.half_island**2), foot - r * math.sin(math.atan2(foot, e + r))
         near, length = self.radius + HOLD_M + TAPER_M, road.reference_line.length
+        offsets: tuple[Callable[[Array], Array], ...] = (self.spread, functools.partial(self.edge, arm, way))
         edges = []
-        offset: Callable[[Array], Array]
-        for begin, offset in zip(begins, (self.spread, functools.partial(self.edge, arm, way)), strict=True):
+        for begin, offset in zip(begins, offsets, strict=True):
             s = np.r_[np.arange(begin, near, COARSE_M / 2), np.arange(near, length, COARSE_M), length]
             x, y = road.reference_line.place(s, way * offset(s))
             edges.append(np.c_[x, y, np.zeros(len(s))][::way])
