@@ -25,7 +25,7 @@ from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.dataset.sets.cluster import cores
 from synfog_usd.lab.benchmark import decode
 from synfog_usd.lab.benchmark.classics import CLASSICS
-from synfog_usd.lab.benchmark.decode import Session
+from synfog_usd.lab.benchmark.decode import OnnxSession
 from synfog_usd.lab.benchmark.detectors import Detector
 from synfog_usd.lab.benchmark.methods import Defogger, Measurer, Method
 
@@ -117,13 +117,13 @@ def _loaded(method: Method) -> Work:
     return lambda taken, out: _write(out, classic(read(taken).astype(np.float64) / 255.0))
 
 
-def _session(method: Method) -> Session:
+def _session(method: Method) -> OnnxSession:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = threads(method)
-    session: Session = onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
+    session: OnnxSession = onnxruntime.InferenceSession(method.target, options, providers=["CPUExecutionProvider"])
     return session
 
 

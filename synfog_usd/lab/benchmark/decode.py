@@ -26,7 +26,7 @@ Boxes = tuple[Array, Array, Pixels]
 """(N, 4) corners [px], (N,) scores and (N,) class numbers."""
 
 
-class Node(Protocol):
+class OnnxNode(Protocol):
     """An input or output of a network."""
 
     name: str
@@ -34,20 +34,20 @@ class Node(Protocol):
     type: str
 
 
-class Session(Protocol):
+class OnnxSession(Protocol):
     """A network, as onnxruntime loads it."""
 
-    def get_inputs(self) -> list[Node]:
+    def get_inputs(self) -> list[OnnxNode]:
         """What it takes."""
 
-    def get_outputs(self) -> list[Node]:
+    def get_outputs(self) -> list[OnnxNode]:
         """What it gives."""
 
     def run(self, names: list[str], feed: dict[str, npt.NDArray[np.generic]]) -> list[npt.NDArray[np.generic]]:
         """Outputs of some names."""
 
 
-def detector(method: Detector, session: Session) -> Callable[[np.ndarray], list[list[float]]]:
+def detector(method: Detector, session: OnnxSession) -> Callable[[np.ndarray], list[list[float]]]:
     """What finds things in a picture (H, W, 3) uint8.
 
     Args:
