@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import operator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,11 @@ def at_least(values: FloatArray, least: float | np.float32, out: FloatArray | No
 def at_most(values: FloatArray, most: float | np.float32, out: FloatArray | None = None) -> FloatArray:
     """`np.minimum` of values and one number, as `at_least`."""
     return np.clip(values, np.float32(-np.inf), np.float32(most), out=out)
+
+
+def total(arrays: Iterable[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    """Sum of one or more arrays, element by element, in their order."""
+    return functools.reduce(operator.add, arrays)
 
 
 def extent(*clouds: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

@@ -726,7 +726,7 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
         if quality.sensor and plan.target_error is None:
             whole = 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
             target["sensor"] |= {"share": 1 / 3, "whole_share": whole}
-    return target | ({} if rendered.met is None else {"pixels_under_it": round(rendered.met, 4)})
+    return target | ({} if rendered.under_target is None else {"pixels_under_it": round(rendered.under_target, 4)})
 
 
 def _write_labels(

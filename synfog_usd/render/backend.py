@@ -17,13 +17,21 @@ import re
 import subprocess
 import sys
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from synfog_usd.base import isolated, system
 from synfog_usd.base.errors import BackendError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from drjit.auto.ad import Float, UInt32
+    from mitsuba import BSDFPtr, Color3f, EmitterPtr, Point3f, ShapePtr, Spectrum
+
+    from synfog_usd.base.arrays import Array
 
 VariantName = Literal["auto", "cuda", "llvm", "scalar"]
 """Or cuda:1, and so on, for one of several GPUs, as nvidia-smi counts them."""
@@ -78,15 +86,15 @@ class Backend:
 
 def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
     """(usable, too old) libLLVM shared libraries as (major version, path), newest first."""
-    found: dict[Path, int] = {}
+    libraries: dict[Path, int] = {}
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     if named:
-        found[Path(named)] = _llvm_major(Path(named)) or MIN_LLVM
+        libraries[Path(named)] = _llvm_major(Path(named)) or MIN_LLVM
     for library in _of_package():
-        found[library] = _llvm_major(library) or MIN_LLVM
+        libraries[library] = _llvm_major(library) or MIN_LLVM
     official = Path(os.environ.get("PROGRAMFILES", "")) / "LLVM" / "bin" / "LLVM-C.dll"  # Windows; names no version
     if sys.platform == "win32" and official.is_file():
-        found[official] = MIN_LLVM
+        libraries[official] = MIN_LLVM
     for pattern in LLVM_FOLDERS:
         root, _, rest = pattern.partition("*")
         folders = (
@@ -97,9 +105,9 @@ def find_llvm() -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
         for folder in folders:
             for library in [*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib")]:
                 major = _llvm_major(library.resolve()) or _llvm_major(library)
-                if major and library.resolve() not in {path.resolve() for path in found}:
-                    found[library] = major
-    ranked = sorted(((major, path) for path, major in found.items()), key=lambda item: (-item[0], str(item[1])))
+                if major and library.resolve() not in {path.resolve() for path in libraries}:
+                    libraries[library] = major
+    ranked = sorted(((major, path) for path, major in libraries.items()), key=lambda item: (-item[0], str(item[1])))
     return [item for item in ranked if item[0] >= MIN_LLVM], [item for item in ranked if item[0] < MIN_LLVM]
 
 
@@ -152,8 +160,8 @@ def _prove(variant: str, **set_before: str) -> str:
     return (telling or lines or [f"the trial process ended with code {child.returncode}"])[-1][:200]
 
 
-def _ask_proof(asked: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    words = isolated.command("synfog_usd.render.proof", asked)
+def _ask_proof(question: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    words = isolated.command("synfog_usd.render.proof", question)
     return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
 
 
@@ -167,8 +175,8 @@ def _prove_cuda(gpu: str) -> str:
     count = int(_ask_proof("gpus", everything).stdout or 0)
     if int(gpu) < count or not count:
         return problem
-    those = "one GPU, number 0" if count == 1 else f"{count} GPUs, 0 to {count - 1}"
-    return f"there is no GPU {gpu}: this machine has {those} (nvidia-smi -L lists them)"
+    gpus = "one GPU, number 0" if count == 1 else f"{count} GPUs, 0 to {count - 1}"
+    return f"there is no GPU {gpu}: this machine has {gpus} (nvidia-smi -L lists them)"
 
 
 def _only(gpu: str) -> dict[str, str]:
@@ -177,7 +185,7 @@ def _only(gpu: str) -> dict[str, str]:
 
 
 def begin(choice: VariantName = "auto") -> None:
-    """Begin to `choose`, in a child that another processor runs; what is wrong is told when it is asked for."""
+    """Begin to `choose`, in a child that another processor runs; a later `choose` raises what went wrong."""
 
     def ask() -> None:
         with contextlib.suppress(BackendError, OSError):
@@ -206,12 +214,12 @@ def _chosen(choice: VariantName) -> Backend:
         raise BackendError(f"--variant {choice}: not known; it takes auto, cuda, llvm or scalar, and cuda:1 for GPU 1")
     why: list[str] = []
     if name in ("auto", "cuda"):
-        asked = name == "cuda"
-        problem = _prove_cuda(gpu) if asked or has_cuda_driver() else "no NVIDIA driver (libcuda) on this machine"
+        forced = name == "cuda"
+        problem = _prove_cuda(gpu) if forced or has_cuda_driver() else "no NVIDIA driver (libcuda) on this machine"
         why.append(f"cuda: {problem or (f'GPU {gpu} renders' if gpu else 'a device renders')}")
         if not problem:
-            return Backend(choice if asked else "cuda", VARIANTS["cuda"], tuple(why), gpu=gpu)
-        if asked:
+            return Backend(choice if forced else "cuda", VARIANTS["cuda"], tuple(why), gpu=gpu)
+        if forced:
             shown = f"--gpu {gpu}" if gpu else "--variant cuda"
             raise BackendError(f"{shown}: {problem}. Leave it out to render with what is here")
     if name in ("auto", "llvm"):
@@ -252,10 +260,10 @@ def set_variant(mi: ModuleType, variant: str) -> None:
 
     Mitsuba loads plugins/sphere.so of the current folder where there is one.
     """
-    places = mi.file_resolver()
-    *_, own = places
-    places.clear()
-    places.append(own)
+    folders = mi.file_resolver()
+    *_, mitsubas = folders
+    folders.clear()
+    folders.append(mitsubas)
     if mi.variant() != variant:
         mi.set_variant(variant)
 
@@ -277,7 +285,7 @@ def let_go() -> None:
     system.give_back()
 
 
-def mitsuba() -> Any:
+def mitsuba() -> ModuleType:
     """The `mitsuba` module with a variant set; the best one if none was chosen yet."""
     module: ModuleType = __import__("mitsuba")
     if module.variant() is None:
@@ -285,7 +293,7 @@ def mitsuba() -> Any:
     return module
 
 
-def aligned(array: Any, kind: Any = None) -> Any:
+def aligned(array: npt.ArrayLike, kind: npt.DTypeLike | None = None) -> npt.NDArray[Any]:
     """The same numbers, contiguous, in memory that begins at a multiple of ALIGNMENT bytes.
 
     Dr.Jit takes NumPy's memory as it lies, and compiles a kernel for aligned and another for
@@ -300,34 +308,35 @@ def aligned(array: Any, kind: Any = None) -> Any:
     values = np.asarray(array, dtype=np.float32 if kind is None else kind)
     memory = np.empty(values.nbytes + ALIGNMENT, dtype=np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
-    kept = memory[start : start + values.nbytes].view(values.dtype).reshape(values.shape)
-    kept[...] = values
-    return kept
+    copy = memory[start : start + values.nbytes].view(values.dtype).reshape(values.shape)
+    copy[...] = values
+    return copy
 
 
-def numbers(array: Any) -> Any:
+def numbers(array: npt.ArrayLike) -> UInt32:
     """(N,) whole numbers for a wavefront."""
     import numpy as np
 
     return mitsuba().UInt32(aligned(array, np.uint32))
 
 
-def floats(array: Any) -> Any:
+def floats(array: npt.ArrayLike) -> Float:
     """(N,) numbers for a wavefront."""
     return mitsuba().Float(aligned(array))
 
 
-def points(array: Any) -> Any:
+def points(array: Array) -> Point3f:
     """(N, 3) places or directions for a wavefront."""
     return mitsuba().Point3f(*(floats(column) for column in array.T))
 
 
-def channel_mean(colour: Any) -> Any:
+def channel_mean(colour: Color3f | Spectrum) -> Float:
     """Of R, G and B; `dr.mean` writes the number of lanes into the kernel's text, so that each number has its own."""
-    return (colour[0] + colour[1] + colour[2]) / 3.0
+    r, g, b = colour
+    return (r + g + b) / 3.0
 
 
-def rows(vectors: Any, kind: Any = None) -> Any:
+def rows(vectors: Iterable[Float], kind: npt.DTypeLike | None = None) -> npt.NDArray[Any]:
     """(N, C) numbers of vectors, one row a lane.
 
     Taken part by part, since to interleave them is a kernel of its own for every N; computed together, since else each
@@ -343,6 +352,18 @@ def rows(vectors: Any, kind: Any = None) -> Any:
     dr.eval(*vectors)
     parts = np.broadcast_arrays(*(np.array(part, dtype=np.float64 if kind is None else kind) for part in vectors))
     return np.stack(parts, axis=1)
+
+
+def indices_of(pointers: BSDFPtr | EmitterPtr | ShapePtr) -> UInt32:
+    """(N,) numbers by which kernels know the objects that (N,) pointers point to; 0 of none."""
+    import drjit as dr
+
+    return cast("UInt32", dr.reinterpret_array(mitsuba().UInt32, pointers))
+
+
+def index_of(pointer: BSDFPtr | EmitterPtr | ShapePtr) -> int:
+    """The same of one object."""
+    return int(indices_of(pointer)[0])
 
 
 def is_scalar() -> bool:

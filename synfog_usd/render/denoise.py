@@ -7,7 +7,7 @@ So the components are cleaned apart, each without what the fog does to it in clo
     L = T * clean(surface / T | albedo, normal) + (1 - T) * clean(airlight / (1 - T))
 
 The surface's light gets guides, fainter the less of it is seen, and its transmittance
-afterwards, so no more of an edge can come out than T lets through; the airlight, scattered
+afterwards, so an edge can keep no more than T of its contrast; the airlight, scattered
 once or more often, gets none.  A component that is known without noise is not cleaned.
 Takes arrays and Intel Open Image Denoise; knows nothing of models or files.  The same
 input gives the same bytes, with any number of threads; not from one kind of processor
@@ -19,13 +19,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal
 
 import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.base.arrays import FloatArray
+from synfog_usd.base.arrays import FloatArray, Pixels, total
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.render import backend, dualbuffer
@@ -34,6 +35,12 @@ from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, unsupported_fog
 from synfog_usd.render.motion import moved
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float, UInt32
+    from mitsuba import Color3f, Normal3f, Ray3f, Scene
+
+    from synfog_usd.render.placed import PlacedScene
 
 INSTALL = "pip install pyoidn"
 
@@ -64,7 +71,7 @@ HALF_GUIDED = 0.01
 BRIGHT = 1e4
 """Times the typical pixel's luminance beyond which light of surfaces is not denoised.
 
-Open Image Denoise returns a flat patch of 1e4 times its surroundings with an error of 6 %, of 1e6 with 20 %.
+Open Image Denoise returns a flat patch as bright as this with an error of 6 %, and a brighter one with more.
 """
 
 BORDER_PX = 16
@@ -85,7 +92,7 @@ MEMORY_MB = 700
 """Memory of Open Image Denoise.  It then works in tiles and gives the same bytes."""
 
 LANES = 1 << 19
-"""Pixels that are looked at at once."""
+"""Pixels that are looked at together."""
 
 KEPT_RAYS = 1 << 22
 """Rays of a picture up to which what they meet is kept for the next fog, in 28 B each."""
@@ -132,7 +139,7 @@ class Denoised:
 
     def luminance(self, weights: npt.ArrayLike) -> FloatArray:
         """(H, W) of the picture, for (C,) weights of the channels in it."""
-        return np.asarray(sum(self.components.values())) @ np.asarray(weights, dtype=np.float32)
+        return total(self.components.values()) @ np.asarray(weights, dtype=np.float32)
 
 
 def denoise_halves(
@@ -228,10 +235,10 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
     through = _image("transmittance", np.asarray(guides.transmittance)[..., None])
     albedo, normal = _image("albedo", guides.albedo), _image("normal", guides.normal)
     first, shape = next((name, image.shape) for name, image in images.items())
-    wanted = [(name, image, shape) for name, image in images.items()]
-    wanted += [("transmittance", through, (*shape[:2], 1))]
-    wanted += [("albedo", albedo, (*shape[:2], 3)), ("normal", normal, (*shape[:2], 3))]
-    for name, image, fits in wanted:
+    shapes = [(name, image, shape) for name, image in images.items()]
+    shapes += [("transmittance", through, (*shape[:2], 1))]
+    shapes += [("albedo", albedo, (*shape[:2], 3)), ("normal", normal, (*shape[:2], 3))]
+    for name, image, fits in shapes:
         if image.shape != fits:
             raise ParameterError(f"denoise: {name} is {image.shape}, and {first} is {shape}; it must be {fits}")
     if through.min() < 0.0 or through.max() > 1.0:
@@ -258,19 +265,19 @@ def _clean_air(image: FloatArray, through: FloatArray, network: Network) -> Floa
     """
     hiding = np.maximum(1.0 - through, FAINT_AIR)
     flat = np.ones((*image.shape[:2], 3), dtype=np.float32)
-    return hiding * _clean(image / hiding, _known(flat, np.zeros_like(flat)), network=network)
+    return hiding * _clean(image / hiding, _as_guides(flat, np.zeros_like(flat)), network=network)
 
 
 def _clean_surface(
     image: FloatArray, through: FloatArray, albedo: FloatArray, normal: FloatArray, network: Network
 ) -> FloatArray:
     """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1)."""
-    seen, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
-    most = np.float32(BRIGHT * _typical(image / seen))
-    guiding = _known(1.0 - trusted * (1.0 - albedo), trusted * normal)
-    light = _clean(np.minimum(image / seen, most), guiding, network=network)
-    light += np.maximum(image / seen - most, 0.0)
-    return seen * light
+    dimming, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
+    most = np.float32(BRIGHT * _typical(image / dimming))
+    guiding = _as_guides(1.0 - trusted * (1.0 - albedo), trusted * normal)
+    light = _clean(np.minimum(image / dimming, most), guiding, network=network)
+    light += np.maximum(image / dimming - most, 0.0)
+    return dimming * light
 
 
 def fine(lights: Mapping[str, FloatArray], shape: tuple[int, ...]) -> FloatArray:
@@ -290,8 +297,10 @@ def divide(
     quick: bool = False,
     draft: bool = False,
 ) -> dict[str, FloatArray]:
-    """Share a denoised picture out to light groups: of its surfaces, its airlight and its lamps' faces each group gets
-    the share that it has of the light of all groups, each cleaned by itself in pixels of `SHARE_PX`.
+    """Share a denoised picture out to light groups.
+
+    Each group gets the part of the surfaces, of the airlight and of the lamps' faces that it has of the light of all
+    groups.  Each group is cleaned by itself, in pixels of `SHARE_PX`.
 
     Args:
         components: of the picture, as `denoise_halves` gives them.
@@ -309,13 +318,13 @@ def divide(
     """
 
     def by_part(lights: Mapping[str, npt.NDArray[Any]]) -> dict[str, FloatArray]:
-        found: dict[str, FloatArray] = {}
+        sums: dict[str, FloatArray] = {}
         for name, light in lights.items():
             part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
-            found[part] = np.asarray(found[part] + light if part in found else light, dtype=np.float32)
-        return found
+            sums[part] = np.asarray(sums[part] + light if part in sums else light, dtype=np.float32)
+        return sums
 
-    seen = Guides(
+    coarse = Guides(
         dualbuffer.binned(guides.albedo, SHARE_PX),
         dualbuffer.binned(guides.normal, SHARE_PX),
         dualbuffer.binned(guides.transmittance[..., None], SHARE_PX)[..., 0],
@@ -323,51 +332,26 @@ def divide(
 
     def clean(part: str, light: FloatArray) -> FloatArray:
         if part not in NOISELESS:
-            light = np.maximum(light, 0.0) if draft else denoise({part: light}, seen, quick=quick)[part]
+            light = np.maximum(light, 0.0) if draft else denoise({part: light}, coarse, quick=quick)[part]
         trace = np.float32(1e-6) * light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         return light + trace  # where no sample of any group was lit, groups share as in the whole picture
 
     parts: dict[str, dict[str, FloatArray]] = {}
-    found = {}
+    pictures = {}
     for group, lights in groups:
-        found[group] = np.zeros_like(next(iter(components.values())))
+        pictures[group] = np.zeros_like(next(iter(components.values())))
         for part, light in by_part(lights).items():
             parts.setdefault(part, {})[group] = clean(part, light)
     for part, light in by_part(components).items():
-        own = parts.pop(part, {})
-        whole = np.maximum(sum(own.values()), np.finfo(np.float32).tiny)
-        for group, lit in own.items():
+        of_groups = parts.pop(part, {})
+        whole = np.maximum(sum(of_groups.values()), np.finfo(np.float32).tiny)
+        for group, lit in of_groups.items():
             share = lit / whole
-            found[group] += light * (share if part in NOISELESS else dualbuffer.spread(share, SHARE_PX, light.shape))
-    return found
+            pictures[group] += light * (share if part in NOISELESS else dualbuffer.spread(share, SHARE_PX, light.shape))
+    return pictures
 
 
-def denoise_plain(
-    image: npt.ArrayLike, albedo: npt.ArrayLike | None = None, normal: npt.ArrayLike | None = None
-) -> FloatArray:
-    """Clean a whole image at once, as other renderers do; with clear-air guides it paints back what the fog hides.
-
-    Args:
-        image: (H, W, C), linear.
-        albedo, normal: (H, W, 3) guides, both or none.
-
-    Raises:
-        ParameterError: shapes that do not fit, values that are not finite, or no pyoidn.
-    """
-    image = _image("image", image)
-    if (albedo is None) != (normal is None):
-        raise ParameterError("denoise: it takes both albedo and normal, or none")
-    if albedo is None or normal is None:
-        return _clean(image)
-    albedo, normal = _image("albedo", albedo), _image("normal", normal)
-    if {albedo.shape, normal.shape} != {(*image.shape[:2], 3)}:
-        raise ParameterError(
-            f"denoise: albedo is {albedo.shape}, normal {normal.shape}; the image asks for {(*image.shape[:2], 3)}"
-        )
-    return _clean(image, _known(albedo, normal))
-
-
-def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False) -> Guides:
+def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS) -> Guides:
     """Look at what each pixel shows, with rays at fixed places in it.
 
     In a pixel with an edge each side counts as much as its light that arrives:
@@ -376,49 +360,52 @@ def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False)
     Args:
         loaded: scene and sensor.
         rays: a pixel.
-        clear: leave the fog out, as a guide of any other renderer does.
 
     Raises:
         ParameterError: the scalar variant, or fog that `Medium` cannot hold.
     """
-    return begun_guides(loaded, rays=rays, clear=clear)()
+    return GuideRays(loaded, rays=rays).guides()
 
 
-def begun_guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS, clear: bool = False) -> Callable[[], Guides]:
-    """What waits for `guides`; the first `LANES` pixels are looked at meanwhile. Arguments as there."""
-    if backend.is_scalar():
-        raise ParameterError(f"denoising needs LLVM or CUDA, and this is the scalar variant; {backend.INSTALL_LLVM}")
-    camera, fog = loaded.source.camera, () if clear else loaded.source.fog
-    if problem := unsupported_fog(fog):
-        raise ParameterError(f"denoising through this fog is not possible: {problem}")
-    mi = backend.mitsuba()
-    height, width = camera.height_px, camera.width_px
-    eye = _Eye(loaded, Medium(fog))
-    if height * width * rays <= KEPT_RAYS and not (camera.moves or loaded.source.motion_of):
-        eye.keep(height * width, rays)
+class GuideRays:
+    """Rays for `guides` that are under way: the first `LANES` pixels' from the beginning, others when they are asked
+    for.  Arguments as there.
+    """
 
-    def begin(low: int) -> list[Any]:
-        pixel = dr.arange(mi.UInt32, min(LANES, height * width - low)) + dr.opaque(mi.UInt32, low)
-        albedo, normal, weight, through = _look(eye, pixel, dr.opaque(mi.UInt32, rays))
-        seen = [*albedo, *normal, weight, through]
-        dr.eval(*seen)
-        return seen
+    def __init__(self, loaded: MitsubaScene, *, rays: int = GUIDE_RAYS) -> None:
+        if backend.is_scalar():
+            raise ParameterError(
+                f"denoising needs LLVM or CUDA, and this is the scalar variant; {backend.INSTALL_LLVM}"
+            )
+        camera, fog = loaded.source.camera, loaded.source.fog
+        if problem := unsupported_fog(fog):
+            raise ParameterError(f"denoising through this fog is not possible: {problem}")
+        self._height, self._width, self._rays = camera.height_px, camera.width_px, rays
+        self._eye, pixels = _Eye(loaded, Medium(fog)), camera.height_px * camera.width_px
+        if pixels * rays <= KEPT_RAYS and not (camera.moves or loaded.source.motion_of):
+            self._eye.keep(pixels, rays)
+        self._first = self._begin(0)
 
-    first = begin(0)
+    def _begin(self, low: int) -> list[Float]:
+        mi = backend.mitsuba()
+        pixel = dr.arange(mi.UInt32, min(LANES, self._height * self._width - low)) + dr.opaque(mi.UInt32, low)
+        albedo, normal, weight, through = _look(self._eye, pixel, dr.opaque(mi.UInt32, self._rays))
+        sums = [*albedo, *normal, weight, through]
+        dr.eval(*sums)
+        return sums
 
-    def found() -> Guides:
-        sums = np.zeros((height * width, 8), dtype=np.float32)
-        for low in range(0, height * width, LANES):
-            sums[low : low + LANES] = backend.rows(begin(low) if low else first, np.float32)
-        albedo, normal, weight, through = np.split(sums.reshape(height, width, 8), (3, 6, 7), axis=2)
+    def guides(self) -> Guides:
+        """Wait for them."""
+        sums = np.zeros((self._height * self._width, 8), dtype=np.float32)
+        for low in range(0, len(sums), LANES):
+            sums[low : low + LANES] = backend.rows(self._begin(low) if low else self._first, np.float32)
+        albedo, normal, weight, through = np.split(sums.reshape(self._height, self._width, 8), (3, 6, 7), axis=2)
         albedo /= weight
         normal /= weight
-        return Guides(albedo, normal, np.minimum(through[..., 0] / rays, 1.0))
-
-    return found
+        return Guides(albedo, normal, np.minimum(through[..., 0] / self._rays, 1.0))
 
 
-def _place(number: Any, axis: int) -> Any:
+def _place(number: UInt32, axis: int) -> Float:
     """Where on an axis of pixel, lens or time ray `number` goes, 0 to 1, evenly spread (Roberts 2018, the R sequence in
     five dimensions).
     """
@@ -432,34 +419,36 @@ class _Eye:
 
     def __init__(self, loaded: MitsubaScene, medium: Medium) -> None:
         self.loaded, self.medium, self.raster = loaded, medium, Raster(loaded.source.camera)
-        self.met: tuple[Any, ...] | None = None
+        self._surfaces: tuple[Color3f, Normal3f, Float] | None = None
         self.pixels = dr.opaque(backend.mitsuba().UInt32, 1)
 
     def keep(self, pixels: int, rays: int) -> None:
         """Look at what all rays meet, or take it from when the same scene was looked at in another fog."""
         mi, camera = backend.mitsuba(), self.loaded.source.camera
-        known, key = self.loaded.met_by_guides, (camera.width_px, camera.height_px, rays)
+        surfaces, key = self.loaded.guide_surfaces, (camera.width_px, camera.height_px, rays)
         self.pixels = dr.opaque(mi.UInt32, pixels)
-        if key not in known:
+        if key not in surfaces:
             lane = dr.arange(mi.UInt32, pixels * rays)
             dr.make_opaque(lane)
-            known.clear()
-            known[key] = _meet(self.loaded.tree, self.ray(lane % self.pixels, lane // self.pixels))
-            dr.eval(known[key])
-        self.met = known[key]
+            surfaces.clear()
+            surfaces[key] = _meet(self.loaded.tree, self.ray(lane % self.pixels, lane // self.pixels))
+            dr.eval(surfaces[key])
+        self._surfaces = surfaces[key]
 
-    def look(self, pixel: Any, number: Any) -> tuple[Any, Any, Any]:
+    def look(self, pixel: UInt32, number: UInt32) -> tuple[Color3f, Normal3f, Float]:
         """Albedo, normal and transmittance of what ray `number` of each pixel meets."""
         mi, ray = backend.mitsuba(), self.ray(pixel, number)
-        if self.met is None:
+        if self._surfaces is None:
             albedo, normal, distance = _meet(self.loaded.tree, ray)
         else:
             at, kinds = number * self.pixels + pixel, (mi.Color3f, mi.Normal3f, mi.Float)
-            albedo, normal, distance = (dr.gather(kind, one, at) for kind, one in zip(kinds, self.met, strict=True))
+            albedo, normal, distance = (
+                dr.gather(kind, values, at) for kind, values in zip(kinds, self._surfaces, strict=True)
+            )
         tau = self.medium.optical_depth(ray.o, ray.d, 0.0, distance) if self.medium.foggy else mi.Float(0.0)
         return albedo, normal, dr.exp(-tau)
 
-    def ray(self, pixel: Any, number: Any) -> Any:
+    def ray(self, pixel: UInt32, number: UInt32) -> Ray3f:
         """Ray `number` of each pixel."""
         mi, camera = backend.mitsuba(), self.loaded.source.camera
         film = (self.raster.corner(pixel) + mi.Point2f(_place(number, 0), _place(number, 1))) / self.raster.size
@@ -470,7 +459,7 @@ class _Eye:
 
 
 @dr.syntax
-def _look(eye: _Eye, pixel: Any, rays: Any) -> tuple[Any, Any, Any, Any]:
+def _look(eye: _Eye, pixel: UInt32, rays: UInt32) -> tuple[Color3f, Normal3f, Float, Float]:
     """Sums over the rays of pixels: albedo and normal by weight, weight, transmittance."""
     mi = backend.mitsuba()
     albedo, normal, weights, through = mi.Color3f(0.0), mi.Normal3f(0.0), mi.Float(0.0), mi.Float(0.0)
@@ -487,14 +476,14 @@ def _look(eye: _Eye, pixel: Any, rays: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @dr.syntax
-def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
+def _meet(scene: Scene | PlacedScene, first: Ray3f) -> tuple[Color3f, Normal3f, Float]:
     """Albedo, normal and distance of what rays meet; what is half transparent counts by its share, and as far as half
     of the ray gets.
     """
     mi = backend.mitsuba()
     ray = mi.Ray3f(first)
     albedo, normal = mi.Color3f(0.0), mi.Normal3f(0.0)
-    left, distance, crossed, active = mi.Float(1.0), mi.Float(dr.inf), mi.UInt32(0), mi.Bool(True)
+    through, distance, crossed, active = mi.Float(1.0), mi.Float(dr.inf), mi.UInt32(0), mi.Bool(True)
     while active:
         si = scene.ray_intersect(ray, active=active)
         surface_hit = active & si.is_valid()
@@ -504,25 +493,25 @@ def _meet(scene: Any, first: Any) -> tuple[Any, Any, Any]:
         )
         matte = surface_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~si.shape.is_emitter()
         colour = dr.select(matte, dr.clip(mi.Color3f(bsdf.eval_diffuse_reflectance(si, matte)), 0.0, 1.0), 1.0)
-        share = dr.select(surface_hit, left * (1.0 - passing), 0.0)
+        share = dr.select(surface_hit, through * (1.0 - passing), 0.0)
         albedo += share * colour
         normal += dr.select(surface_hit, share, 0.0) * dr.select(
             dr.dot(si.sh_frame.n, ray.d) > 0.0, -si.sh_frame.n, si.sh_frame.n
         )
-        left *= passing
-        distance = dr.select(surface_hit & (left < 0.5) & (distance == dr.inf), dr.norm(si.p - first.o), distance)
+        through *= passing
+        distance = dr.select(surface_hit & (through < 0.5) & (distance == dr.inf), dr.norm(si.p - first.o), distance)
         onward = si.spawn_ray(ray.d)
         ray = dr.select(surface_hit, onward, ray)
         crossed += 1
-        active = surface_hit & (left > 1e-3) & (crossed < CROSSINGS)
-    return albedo + left, normal, distance
+        active = surface_hit & (through > 1e-3) & (crossed < CROSSINGS)
+    return albedo + through, normal, distance
 
 
 class DenoiserError(ParameterError):
     """Open Image Denoise gave up, for lack of memory or otherwise."""
 
 
-def _oidn() -> Any:
+def _oidn() -> ModuleType:
     try:
         import pyoidn
     except (ImportError, OSError) as error:
@@ -540,25 +529,25 @@ def _image(name: str, values: npt.ArrayLike) -> FloatArray:
     return image
 
 
-def _typical(light: FloatArray) -> float:
+def _typical(light: Pixels) -> float:
     """Geometric mean of what is lit."""
     lit = light[light > 0.0]
     return float(np.exp(np.log(lit.astype(np.float64)).mean())) if lit.size else 0.0
 
 
-def _known(albedo: FloatArray, normal: FloatArray) -> dict[str, FloatArray]:
+def _as_guides(albedo: FloatArray, normal: FloatArray) -> dict[str, FloatArray]:
     """Guides as `_clean` takes them."""
     return {"albedo": _framed(np.clip(albedo, 0.0, 1.0)), "normal": _framed(normal)}
 
 
 def _clean(
     image: FloatArray,
-    known: Mapping[str, FloatArray] | None = None,
+    guides: Mapping[str, FloatArray] | None = None,
     *,
     network: Network = "high",
 ) -> FloatArray:
-    """One pass of Open Image Denoise for each three channels, with the network of a quality of its; guides, see
-    `_known`, are taken as free of noise.
+    """One pass of Open Image Denoise for each three channels, with a network of it; `guides`, see `_as_guides`, are
+    taken as free of noise.
     """
     oidn = _oidn()
     mean = float(np.maximum(image, 0.0).mean(dtype=np.float64))
@@ -572,8 +561,8 @@ def _clean(
     image *= scale
     channels, parts = image.shape[2], []
     for low in range(0, channels, 3):
-        taken = image if channels == 3 else image[:, :, np.minimum(np.arange(low, low + 3), channels - 1)]
-        cleaned = _filtered(oidn, {"color": np.ascontiguousarray(taken), **(known or {})}, network)
+        colour = image if channels == 3 else image[:, :, np.minimum(np.arange(low, low + 3), channels - 1)]
+        cleaned = _filtered(oidn, {"color": np.ascontiguousarray(colour), **(guides or {})}, network)
         parts.append(cleaned[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX, : channels - low])
     result = np.concatenate(parts, axis=2)
     np.maximum(result, 0.0, out=result)
@@ -581,14 +570,14 @@ def _clean(
     return result
 
 
-def _filtered(oidn: Any, images: Mapping[str, FloatArray], network: str = "high") -> FloatArray:
+def _filtered(oidn: ModuleType, images: Mapping[str, FloatArray], network: str = "high") -> FloatArray:
     """Open Image Denoise's own result for images (H, W, 3); guides are taken as free of noise.
 
     On the graphics processor where that renders, else on the processor, which reads and writes the images where they
     lie.
     """
     result = np.empty_like(images["color"])
-    given, on_cuda = {**images, "output": result}, backend.is_cuda() and oidn.Device.is_cuda_available()
+    pictures, on_cuda = {**images, "output": result}, backend.is_cuda() and oidn.Device.is_cuda_available()
     with (
         oidn.Device(oidn.OIDN_DEVICE_TYPE_CUDA if on_cuda else oidn.OIDN_DEVICE_TYPE_CPU) as device,
         contextlib.ExitStack() as released,
@@ -597,11 +586,13 @@ def _filtered(oidn: Any, images: Mapping[str, FloatArray], network: str = "high"
         work = oidn.Filter(device, oidn.OIDN_FILTER_TYPE_RT)  # in a `with` it would swallow whatever is raised
         released.callback(work.release)
         if on_cuda:
-            there = {name: released.enter_context(oidn.Buffer(device, image.nbytes)) for name, image in given.items()}
+            there = {
+                name: released.enter_context(oidn.Buffer(device, image.nbytes)) for name, image in pictures.items()
+            }
             for name, image in images.items():
                 there[name].write(0, image.nbytes, image)
         height, width = result.shape[:2]
-        for name, image in given.items():
+        for name, image in pictures.items():
             work.set_image(name, there[name] if on_cuda else image, oidn.OIDN_FORMAT_FLOAT3, width, height)
         work.set_bool("hdr", True)
         work.set_bool("cleanAux", len(images) > 1)

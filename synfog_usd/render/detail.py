@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.scene import Camera
 
 MOVED_PX = 0.5
@@ -98,11 +98,11 @@ def merged(mesh: Mapping[str, Any], level: int) -> Mapping[str, Any]:
         return mesh
     count = np.bincount(group, minlength=len(first))[:, None]
     places = np.stack([np.bincount(group, points[:, k], len(first)) for k in range(3)], axis=1) / count
-    kept = {name: np.asarray(mesh[name])[first] for name in ("normals", "texcoords", "vertex_color") if name in mesh}
-    return {**mesh, **kept, "positions": places, "faces": corners.astype(np.uint32)}
+    arrays = {name: np.asarray(mesh[name])[first] for name in ("normals", "texcoords", "vertex_color") if name in mesh}
+    return {**mesh, **arrays, "positions": places, "faces": corners.astype(np.uint32)}
 
 
-def _normals(points: Array, faces: Array) -> Array:
+def _normals(points: Array, faces: Indices) -> Array:
     """Directions of the vertices, by the faces around."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     across, total = np.cross(b - a, c - a), np.zeros_like(points)

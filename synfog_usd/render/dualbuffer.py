@@ -7,9 +7,9 @@ each one alone.  The picture is f = (a + b) / 2.  With x = (A + B) / 2, h = (A -
     E[(x - f)^2] - E[h^2] + 2 E[h k] = E[(f - truth)^2],
 
 since x has no bias: what is on the left is measured, and the denoiser may be any.  The same moments say how far to go
-back to the samples: f + w (x - f) errs least with w = 1 - E[h (h - k)] / E[(x - f)^2].  Here that is done for what is
-left under blurs from wide to none, so light that the denoiser took for outliers comes back where it belongs as
-nearly as noise allows, and with more samples every w goes to 1 and the picture to the truth.
+back to the samples: f + w (x - f) errs least with w = 1 - E[h (h - k)] / E[(x - f)^2].  Here
+that is done for what is left under blurs from wide to none.  So light that the denoiser took for outliers comes back
+where it belongs as nearly as noise allows.  With more samples every w goes to 1 and the picture to the truth.
 
 Takes arrays; knows nothing of a denoiser, models or files.
 Source: two buffers: Rousselle, Knaus and Zwicker 2012; mixing by estimated errors until it converges: Firmino et al.
@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.base.arrays import FloatArray as Array
-from synfog_usd.base.arrays import Indices
+from synfog_usd.base.arrays import Indices, total
+from synfog_usd.base.arrays import Pixels as Array
 
 SCALES_PX = (64, 16, 4, 0)
 """Standard deviations [px] of the blurs, wide to none; then, of glints alone, `NEARBY_PX`, and the whole picture."""
@@ -34,8 +34,7 @@ NEARBY_PX = 8
 """Standard deviation [px] of the blur under which glints have the light of their samples in the end, as far as
 `MOST_GIVEN` allows: images of lamps in paint and glass, each a pixel or two wide, which a denoiser takes for outliers.
 
-For all other light it costs more than it mends.  Dusk, MOR 150, 320x180, 16 samples, with it and without: mottle 1.47
-and 1.36 % (crossing), 1.50 and 1.11 % (motorway); bias of blocks of 32 x 32 px 1.4 and 1.7, 1.4 and 1.5 %.
+For all other light it adds more mottle than it takes bias away.
 """
 
 MOST_GIVEN = 1.25
@@ -157,8 +156,8 @@ def _floor(noisy: Array) -> Array:
 def _given(noisy: Array, done: Array, floor: float) -> Array:
     """(H, W, 1) by what each pixel's light (H, W) is multiplied to have that of the samples nearby."""
     step = NEARBY_PX // 2
-    there, kept = (_blurred(binned(light[..., None], step), NEARBY_PX / step) + floor for light in (noisy, done))
-    gain = np.clip(there / np.maximum(kept, 1e-30), 1.0 / MOST_GIVEN, MOST_GIVEN)
+    sampled, cleaned = (_blurred(binned(light[..., None], step), NEARBY_PX / step) + floor for light in (noisy, done))
+    gain = np.clip(sampled / np.maximum(cleaned, 1e-30), 1.0 / MOST_GIVEN, MOST_GIVEN)
     return spread(gain, step, done.shape)
 
 
@@ -170,29 +169,31 @@ def _correct(noisy: Array, done: Array, weights: Array, floor: Array, scale: int
         [_blurred(binned(picture, step), scale / step) for picture in done],
     )
     level = np.maximum(0.5 * (fine[0] + fine[1]) @ weights, float(floor @ weights))
-    left = 0.5 * ((wide[0] + wide[1]) - (fine[0] + fine[1])) @ weights / level
+    change = 0.5 * ((wide[0] + wide[1]) - (fine[0] + fine[1])) @ weights / level
     noise = 0.5 * (wide[0] - wide[1]) @ weights / level
-    kept = 0.5 * (fine[0] - fine[1]) @ weights / level
+    scatter = 0.5 * (fine[0] - fine[1]) @ weights / level
     window = max(WINDOW * scale, WINDOW_PX)
     pixels = 4.0 * np.pi * window**2 / max(1.0, 4.0 * np.pi * scale**2)  # independent ones under the window
     caution = 1.0 + CAUTION / np.sqrt(pixels)
-    square, unknown = left * left, noise * (noise - kept)
+    square, unknown = change * change, noise * (noise - scatter)
     if scale > 0:
         share = _share(_blurred(unknown, window / step), _blurred(square, window / step), caution)
     else:
         some = _spread(_moment(square, window), done.shape[1:3])
         counted = square < DECISIVE * (2.0 * np.pi * window**2) * some
-        moments = (_moment(np.where(counted, values, np.float32(0.0)), window) for values in (unknown, square))
-        share = _spread(_share(*moments, caution), done.shape[1:3])
-        share *= _agreed(left + noise - kept, left - noise + kept)
+        noisy_part, whole = (
+            _moment(np.where(counted, values, np.float32(0.0)), window) for values in (unknown, square)
+        )
+        share = _spread(_share(noisy_part, whole, caution), done.shape[1:3])
+        share *= _agreed(change + noise - scatter, change - noise + scatter)
     for half in range(2):
-        change = wide[half] - fine[half]
-        change *= share[..., None]
+        more = wide[half] - fine[half]
+        more *= share[..., None]
         if scale > 0:
-            change /= np.maximum(fine[half] + floor, 1e-30)
-            change = spread(change, step, done.shape[1:3])
-            change *= done[half] + floor
-        done[half] += change
+            more /= np.maximum(fine[half] + floor, 1e-30)
+            more = spread(more, step, done.shape[1:3])
+            more *= done[half] + floor
+        done[half] += more
     np.maximum(done, 0.0, out=done)  # noise may be below 0, light is not
 
 
@@ -211,12 +212,12 @@ def _spread(coarse: Array, shape: tuple[int, int]) -> Array:
     return spread(coarse[..., None], MOMENT_PX, shape)[..., 0]
 
 
-def _agreed(one: Array, other: Array) -> Array:
+def _agreed(first: Array, second: Array) -> Array:
     """Share of the mean of two differences that both have: 1 where they are alike, 0 where one alone has it, as a rare
     bright sample does.
     """
-    mean = 0.5 * (one + other)
-    both = np.where(one * other > 0.0, AGREED * np.minimum(np.abs(one), np.abs(other)), 0.0)
+    mean = 0.5 * (first + second)
+    both = np.where(first * second > 0.0, AGREED * np.minimum(np.abs(first), np.abs(second)), 0.0)
     return np.minimum(both / np.maximum(np.abs(mean), 1e-30), 1.0)
 
 
@@ -229,16 +230,16 @@ def error_of(noisy: Array, done: Array) -> Error:
     Args:
         noisy, done: (2, H, W) luminance of the halves before and after.
 
-    Measured, told over true RMS error, nine bench stages and two shots of the crossing, 64x36, four seeds: 0.82 to
-    1.41 at 4 samples, 0.81 to 1.45 at 8, 0.91 to 1.32 at 32; see `tests/render/test_denoise.py`.
+    `tests/render/test_denoise.py` compares it with the true error of bench stages.
     """
     picture = done.mean(axis=0)
     mean = float(np.abs(picture).mean(dtype=np.float64))
     if mean == 0.0:
         return Error(np.zeros_like(picture), np.zeros_like(picture), 0.0)
     level = np.maximum(np.clip(_blurred(picture, 1.0), picture / NEAR, picture * NEAR), 0.05 * mean)
-    left, noise, kept = noisy.mean(axis=0) - picture, 0.5 * (noisy[0] - noisy[1]), 0.5 * (done[0] - done[1])
-    square, scatter = (left * left - noise * noise + 2.0 * noise * kept) / level**2, (kept / level) ** 2
+    change, noise, scatter = noisy.mean(axis=0) - picture, 0.5 * (noisy[0] - noisy[1]), 0.5 * (done[0] - done[1])
+    square = (change * change - noise * noise + 2.0 * noise * scatter) / level**2
+    scatter = (scatter / level) ** 2
     ratio = _ratio(square, scatter)
     scatter = level * np.sqrt(_blurred(scatter, ERROR_BLUR_PX))
     return Error(np.sqrt(ratio) * scatter, scatter, mottle(done))
@@ -281,10 +282,10 @@ def _ratio(square: Array, scatter: Array) -> np.float32:
     if whole == 0.0:
         return np.float32(USUAL_RATIO)
     blocks = binned(square[..., None], BLOCK_PX).astype(np.float64).ravel() / whole
-    found = max(float(square.mean(dtype=np.float64)) / whole, 0.0)
+    ratio = max(float(square.mean(dtype=np.float64)) / whole, 0.0)
     spread = blocks.std() / np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
-    trust = found**2 / (found**2 + (DOUBT * spread) ** 2) if found > 0.0 else 0.0
-    return np.float32(max(USUAL_RATIO + trust * (found - USUAL_RATIO), 1.0))
+    trust = ratio**2 / (ratio**2 + (DOUBT * spread) ** 2) if ratio > 0.0 else 0.0
+    return np.float32(max(USUAL_RATIO + trust * (ratio - USUAL_RATIO), 1.0))
 
 
 def binned(image: Array, step: int) -> Array:
@@ -294,8 +295,8 @@ def binned(image: Array, step: int) -> Array:
     height, width = (-(-length // step) * step for length in image.shape[:2])
     if (height, width) != image.shape[:2]:
         image = np.pad(image, ((0, height - image.shape[0]), (0, width - image.shape[1]), (0, 0)), mode="edge")
-    rows = sum(image[first::step] for first in range(step))  # twice as fast as a mean over axes
-    return np.asarray(sum(rows[:, first::step] for first in range(step)) * np.float32(step**-2.0), dtype=np.float32)
+    rows = total(image[first::step] for first in range(step))  # twice as fast as a mean over axes
+    return np.asarray(total(rows[:, first::step] for first in range(step)) * np.float32(step**-2.0), dtype=np.float32)
 
 
 def spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
@@ -304,16 +305,16 @@ def spread(coarse: Array, step: int, shape: tuple[int, ...]) -> Array:
         return coarse
     height, width, channels = *shape[:2], coarse.shape[2]
     before, after, share = _between(coarse.shape[1], step, width)
-    left, right = ((at[:, None] * channels + np.arange(channels)).ravel() for at in (before, after))
-    narrow = coarse.reshape(len(coarse), -1)  # all of a row at once: numpy is slow over axes as short as the channels
-    rows = narrow[:, left]
-    rows += (narrow[:, right] - rows) * np.repeat(share, channels)
+    low, high = ((at[:, None] * channels + np.arange(channels)).ravel() for at in (before, after))
+    narrow = coarse.reshape(len(coarse), -1)  # all of a row together: numpy is slow over axes as short as the channels
+    rows = narrow[:, low]
+    rows += (narrow[:, high] - rows) * np.repeat(share, channels)
     before, after, share = _between(len(coarse), step, height)
     fine = np.empty((height, width * channels), dtype=coarse.dtype)
-    for row, low, high, part in zip(fine, before, after, share, strict=True):
-        np.subtract(rows[high], rows[low], out=row)
+    for row, above, below, part in zip(fine, before, after, share, strict=True):
+        np.subtract(rows[below], rows[above], out=row)
         row *= part
-        row += rows[low]
+        row += rows[above]
     return fine.reshape(height, width, channels)
 
 

@@ -4,7 +4,7 @@ Mitsuba's just-in-time variants trace every shape and every instance on their ow
 an instance costs 20 ms and 0.6 MB of every kernel, which no street of a thousand
 parts can pay.  One big mesh a material costs nothing of the kind, and memory only
 by the triangle.  Where there are more than `MAX_TRIANGLES`, instances that are far away have their vertices merged
-below half a pixel, and what is still above stays instances, those of the largest prototypes.
+below half a pixel.  If there are still more, those of the largest prototypes stay instances.
 
 Trees are an exception where our own path tracer asks: 60 of 9 kinds were four of five triangles of a street.  A
 prototype of which `WORTH_A_PROTOTYPE` triangles would be written out again is joined once, in its own coordinates, and
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.base.arrays import Array, Flags, Indices, extent
+from synfog_usd.base.arrays import Array, Flags, Indices, Pixels, extent
 from synfog_usd.render import detail, surface
 from synfog_usd.render.lights.crowd import crowded
 from synfog_usd.render.placed import Piece, Prototypes, Standing
@@ -43,8 +43,8 @@ Many rays go by what is near, and each that goes by an instance pays for it.
 
 ARRAYS = ("normals", "texcoords", "vertex_color")
 
-AT_ONCE = 1_000_000
-"""Points that are put to their places at once: 24 MB."""
+TOGETHER = 1_000_000
+"""Points that are put to their places in one step: 24 MB."""
 
 FULL = 1000
 """Level of an instance that is drawn as it is; see `detail.levels` for others."""
@@ -72,14 +72,14 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     gathered.take_shapes()
     expanded = gathered.take_instances(standing, placed)
     gathered.take_prototypes(of_places)  # after all others: the last of the joined meshes
-    gathered.taken.update(standing.keys[row] for row in np.flatnonzero(placed))
-    left = {group for group, rows in standing.rows.items() if not (expanded | placed)[rows].all()}
-    if left and of_places:  # which stay Mitsuba's own, that know nothing of our places
+    gathered.gone.update(standing.keys[row] for row in np.flatnonzero(placed))
+    unjoined = {group for group, rows in standing.rows.items() if not (expanded | placed)[rows].all()}
+    if unjoined and of_places:  # which stay Mitsuba's own, that know nothing of our places
         return flatten(source)
-    gathered.taken |= {
+    gathered.gone |= {
         key
         for key, value in world.items()
-        if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in left
+        if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in unjoined
     }
     joined, instances, where = gathered.joined()
     return joined, instances, _prototypes(source, standing, of_places, where) if of_places else None
@@ -89,11 +89,11 @@ class _Gathered:
     """Meshes of a scene that are to be joined, by what they must have in common.
 
     Attributes:
-        taken: keys of `SceneDict.world` that go.
+        gone: keys of `SceneDict.world` that the joined scene has not.
     """
 
     def __init__(self, source: SceneDict) -> None:
-        self.taken = set[str]()
+        self.gone = set[str]()
         self._source, self._kinds = source, _kinds(source)
         self._parts: dict[tuple[Any, ...], list[_Member]] = {}
 
@@ -105,10 +105,10 @@ class _Gathered:
                 mesh, block = crowd.get(key, (value, None))
                 label = np.array([[source.instance_of.get((key,), 0)]])
                 self._take(_Member(key, ("",), (mesh,), None, label, source.motion_of.get(key)), block)
-                self.taken.add(key)
+                self.gone.add(key)
 
     def take_instances(self, standing: Placements, placed: Flags) -> Flags:
-        """Instances that are written out, of those that are not placed; tells which they are."""
+        """Write out instances, but not those that are placed; (N,) which are written out."""
         source = self._source
         finer = _Detail(source, standing, ~placed)
         expanded = _expanded(source.world, standing, finer, ~placed)
@@ -117,7 +117,7 @@ class _Gathered:
             labels, motion = _labels(source, keys, shapes), source.motion_of.get(keys[0])
             names, meshes = tuple(shapes), tuple(shapes.values())
             self._take(_Member(keys[0], names, meshes, standing.to_world[rows], labels, motion))
-            self.taken.update(keys)
+            self.gone.update(keys)
         return expanded
 
     def take_prototypes(self, groups: Iterable[str]) -> None:
@@ -141,39 +141,40 @@ class _Gathered:
 
     def joined(self) -> tuple[SceneDict, FaceInstances, dict[tuple[str, str], Piece]]:
         """The scene with them joined, the label id of every face, and where each prototype's mesh lies in them."""
-        source, taken = self._source, self.taken
-        joined, instances = {}, {}
+        source, gone = self._source, self.gone
+        joined: dict[str, dict[str, Any]] = {}
+        instances: dict[str, npt.NDArray[np.int32]] = {}
         where: dict[tuple[str, str], Piece] = {}
-        motions = {key: ways for key, ways in source.motion_of.items() if key not in taken}
+        motions = {key: ways for key, ways in source.motion_of.items() if key not in gone}
         groups, fluxes, emissions = dict(source.group_of), dict(source.flux_of), dict(source.emission_of)
         for index, ((*_, block, moving), members) in enumerate(self._parts.items()):
             key = f"shape_joined_{index}"
             joined[key] = {**_joined(members), "bsdf": _bsdf(source.world, members)}
             if block is not None:
                 joined[key]["emitter"] = members[0].meshes[0]["emitter"]
-                fluxes[key] = sum(fluxes.get(one.key, 0.0) for one in members)
-                for values in (groups, emissions):
-                    if members[0].key in values:
-                        values[key] = values[members[0].key]
+                fluxes[key] = sum(fluxes.get(member.key, 0.0) for member in members)
+                first = members[0].key
+                groups |= {key: groups[first]} if first in groups else {}
+                emissions |= {key: emissions[first]} if first in emissions else {}
             instances[key] = np.concatenate(
-                [np.repeat(one.labels.ravel(), one.faces * len(one.labels)).astype(np.int32) for one in members]
+                [np.repeat(some.labels.ravel(), some.faces * len(some.labels)).astype(np.int32) for some in members]
             )
             where |= _pieces(key, members)
             if moving:
                 joined[key]["motion"], motions[key] = _ways(members)
-        rest = {key: value for key, value in source.world.items() if key not in taken}
-        asked = _asked([*rest.values(), *joined.values()])
-        rest = {key: value for key, value in rest.items() if key not in self._kinds or key in asked}
-        made = replace(
+        rest = {key: value for key, value in source.world.items() if key not in gone}
+        needed = _references([*rest.values(), *joined.values()])
+        rest = {key: value for key, value in rest.items() if key not in self._kinds or key in needed}
+        flat = replace(
             source,
             world={**rest, **joined},
-            instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in taken},
+            instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in gone},
             motion_of=motions,
             group_of=groups,
             flux_of=fluxes,
             emission_of=emissions,
         )
-        return made, instances, where
+        return flat, instances, where
 
 
 class _Member(NamedTuple):
@@ -211,8 +212,8 @@ class _Member(NamedTuple):
 def _labels(source: SceneDict, keys: list[str], names: Iterable[str]) -> Indices:
     """(N, M) label ids of N instances of a prototype with M shapes."""
     names = list(names)
-    found = [source.instance_of.get((key, name), 0) for key in keys for name in names]
-    return np.array(found, dtype=np.int64).reshape(len(keys), len(names))
+    labels = [source.instance_of.get((key, name), 0) for key in keys for name in names]
+    return np.array(labels, dtype=np.int64).reshape(len(keys), len(names))
 
 
 def _runs(source: SceneDict, standing: Placements, finer: _Detail, some: Flags) -> Iterator[tuple[str, Indices]]:
@@ -221,8 +222,8 @@ def _runs(source: SceneDict, standing: Placements, finer: _Detail, some: Flags) 
     """
     groups, rows = list(standing.rows), np.flatnonzero(some)
     number = np.zeros(len(standing.keys), dtype=np.int64)
-    for place, own in enumerate(standing.rows.values()):
-        number[own] = place
+    for place, of_group in enumerate(standing.rows.values()):
+        number[of_group] = place
     moves = np.array([standing.keys[row] in source.motion_of for row in rows], dtype=bool)
     sort = np.stack([number[rows], finer.level[rows], np.where(moves, 1 + np.arange(len(rows)), 0)])
     for run in np.split(rows, 1 + np.flatnonzero((sort[:, 1:] != sort[:, :-1]).any(axis=0))):
@@ -232,18 +233,18 @@ def _runs(source: SceneDict, standing: Placements, finer: _Detail, some: Flags) 
 
 def _pieces(key: str, members: list[_Member]) -> dict[tuple[str, str], Piece]:
     """Where the pieces of prototypes lie in a joined mesh."""
-    found, face, vertex = {}, 0, 0
-    for one in members:
-        for name, faces, vertices in zip(one.names, one.faces, one.vertices, strict=True):
-            if one.placed:
-                found[one.key, name] = Piece(key, face, vertex, faces, vertices)
-            face, vertex = face + faces * len(one.labels), vertex + vertices * len(one.labels)
-    return found
+    pieces, face, vertex = {}, 0, 0
+    for member in members:
+        for name, faces, vertices in zip(member.names, member.faces, member.vertices, strict=True):
+            if member.placed:
+                pieces[member.key, name] = Piece(key, face, vertex, faces, vertices)
+            face, vertex = face + faces * len(member.labels), vertex + vertices * len(member.labels)
+    return pieces
 
 
 def _placed(source: SceneDict, standing: Placements) -> Flags:
     """(N,) which instances are left to places: those far away of the prototypes that are worth it."""
-    found = np.zeros(len(standing.keys), dtype=bool)
+    placed = np.zeros(len(standing.keys), dtype=bool)
     for group, rows in standing.rows.items():
         shapes = shapes_of(source.world, group)
         plain = all(_plain(shape) and len(shape["faces"]) for shape in shapes.values())
@@ -252,8 +253,8 @@ def _placed(source: SceneDict, standing: Placements) -> Flags:
             continue
         far = source.away_m(standing.to_world[rows, :3, 3]) > FAR_M
         if (np.count_nonzero(far) - 1) * faces >= WORTH_A_PROTOTYPE:
-            found[rows] = far
-    return found
+            placed[rows] = far
+    return placed
 
 
 def _prototypes(
@@ -262,28 +263,26 @@ def _prototypes(
     of_places: Mapping[str, Indices],
     where: Mapping[tuple[str, str], Piece],
 ) -> Prototypes:
-    """Where the instances `of_places` stand, by prototype, of the pieces that are found `where` (prototype, key in it)
-    says.
-    """
+    """Where the instances `of_places` stand, by prototype, of the pieces that `where` has by (prototype, key in it)."""
     pieces, places = dict[str, tuple[Piece, ...]](), list[Standing]()
     for group, rows in of_places.items():
         shapes = shapes_of(source.world, group)
         pieces[group] = tuple(where[group, name] for name in shapes)
         labels = _labels(source, [standing.keys[row] for row in rows], shapes)
         places += [
-            Standing(group, standing.to_world[row], tuple(own)) for row, own in zip(rows, labels.tolist(), strict=True)
+            Standing(group, standing.to_world[row], tuple(ids)) for row, ids in zip(rows, labels.tolist(), strict=True)
         ]
     return Prototypes(pieces, tuple(places))
 
 
 def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
     """Materials that can be drawn together with others -> what those have in common."""
-    found = {
+    kinds = {
         key: surface.alike(value)
         for key, value in source.world.items()
         if key.startswith("mat_") and key not in source.reflectance_of
     }
-    return {key: kind for key, kind in found.items() if kind is not None}
+    return {key: kind for key, kind in kinds.items() if kind is not None}
 
 
 def _bsdf(world: Mapping[str, Any], members: list[_Member]) -> dict[str, Any]:
@@ -292,35 +291,36 @@ def _bsdf(world: Mapping[str, Any], members: list[_Member]) -> dict[str, Any]:
     if len(number) == 1:
         return {"type": "ref", "id": next(iter(number))}
     of_faces = [
-        np.tile(np.repeat([number[key] for key in _materials([one])], one.faces), len(one.labels)) for one in members
+        np.tile(np.repeat([number[key] for key in _materials([some])], some.faces), len(some.labels))
+        for some in members
     ]
     return surface.together([world[key] for key in number], np.concatenate(of_faces))
 
 
 def _materials(members: list[_Member]) -> list[str]:
-    return [mesh["bsdf"]["id"] for one in members for mesh in one.meshes]
+    return [mesh["bsdf"]["id"] for member in members for mesh in member.meshes]
 
 
-def _asked(parts: list[Any]) -> set[str]:
+def _references(parts: list[Any]) -> set[str]:
     """What parts of a scene refer to."""
-    found = set[str]()
+    keys = set[str]()
     for part in parts:
         if isinstance(part, Mapping):
-            found |= {part["id"]} if part.get("type") == "ref" else _asked(list(part.values()))
-    return found
+            keys |= {part["id"]} if part.get("type") == "ref" else _references(list(part.values()))
+    return keys
 
 
 def _ways(members: list[_Member]) -> tuple[Indices, Array]:
     """(N,) way in which each vertex of joined meshes moves, and the ways (M, K, 4, 4): parts of one thing share one."""
-    known: dict[bytes, int] = {}
+    number_of: dict[bytes, int] = {}
     ways: list[Array] = []
     numbers = []
-    for one in members:
-        assert one.motion is not None
-        number = known.setdefault(one.motion.tobytes(), len(ways))
+    for member in members:
+        assert member.motion is not None
+        number = number_of.setdefault(member.motion.tobytes(), len(ways))
         if number == len(ways):
-            ways.append(one.motion[0])
-        numbers.append(np.full(sum(one.vertices) * len(one.labels), number, dtype=np.int64))
+            ways.append(member.motion[0])
+        numbers.append(np.full(sum(member.vertices) * len(member.labels), number, dtype=np.int64))
     return np.concatenate(numbers), np.stack(ways)
 
 
@@ -340,7 +340,7 @@ class _Detail:
     def __init__(self, source: SceneDict, standing: Placements, written: Flags) -> None:
         self.world = source.world
         self.level = np.full(len(standing.keys), FULL, dtype=np.int64)
-        self.made: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
+        self._shapes: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
         plain = {
             group: rows[written[rows]]
             for group, rows in standing.rows.items()
@@ -361,12 +361,12 @@ class _Detail:
 
     def prototype(self, group: str, level: int = FULL) -> dict[str, Mapping[str, Any]]:
         """The shapes of a prototype, as an instance of that level is drawn."""
-        if (group, level) not in self.made:
+        if (group, level) not in self._shapes:
             shapes = shapes_of(self.world, group)
-            self.made[group, level] = {
+            self._shapes[group, level] = {
                 name: shape if level == FULL else detail.merged(shape, level) for name, shape in shapes.items()
             }
-        return self.made[group, level]
+        return self._shapes[group, level]
 
 
 def _faces(shapes: Mapping[str, Mapping[str, Any]]) -> int:
@@ -386,18 +386,18 @@ def _expanded(world: Mapping[str, Any], standing: Placements, finer: _Detail, wr
 
     Each instance that is left costs the same, whatever it holds: so as few as can be are left.
     """
-    sizes, found = np.zeros(len(standing.keys), dtype=np.int64), written.copy()
+    sizes, expanded = np.zeros(len(standing.keys), dtype=np.int64), written.copy()
     for group, rows in standing.rows.items():
         for level in np.unique(finer.level[rows]).tolist():
-            shapes, own = finer.prototype(group, level), rows[finer.level[rows] == level]
+            shapes, of_level = finer.prototype(group, level), rows[finer.level[rows] == level]
             if all(_plain(shape) for shape in shapes.values()):
-                sizes[own] = _faces(shapes)
+                sizes[of_level] = _faces(shapes)
             else:
-                found[own] = False
-    candidates = np.flatnonzero(found)
+                expanded[of_level] = False
+    candidates = np.flatnonzero(expanded)
     candidates = candidates[np.argsort(sizes[candidates], kind="stable")]  # of one size in the order of the scene
-    found[candidates[np.cumsum(sizes[candidates]) > MAX_TRIANGLES - _direct(world)]] = False
-    return found
+    expanded[candidates[np.cumsum(sizes[candidates]) > MAX_TRIANGLES - _direct(world)]] = False
+    return expanded
 
 
 def _whole(meshes: tuple[Mapping[str, Any], ...]) -> Mapping[str, Any]:
@@ -413,21 +413,23 @@ def _whole(meshes: tuple[Mapping[str, Any], ...]) -> Mapping[str, Any]:
 
 
 def _at_places(members: list[_Member]) -> Iterator[tuple[Mapping[str, Any], Array | None]]:
-    """Meshes in their order, and the (N, 4, 4) places at which each stands, not too many at once; None where it stands
-    as it is.
+    """Meshes in their order, and the (N, 4, 4) places at which each stands, not too many in one step; None of what
+    stands as it is.
     """
-    for one in members:
-        mesh = _whole(one.meshes)
-        if one.to_world is None:
+    for member in members:
+        mesh = _whole(member.meshes)
+        if member.to_world is None:
             yield mesh, None
             continue
-        step = max(AT_ONCE // max(len(mesh["positions"]), 1), 1)
-        yield from ((mesh, one.to_world[first : first + step]) for first in range(0, len(one.to_world), step))
+        step = max(TOGETHER // max(len(mesh["positions"]), 1), 1)
+        for first in range(0, len(member.to_world), step):
+            yield mesh, member.to_world[first : first + step]
 
 
 def _joined(members: list[_Member]) -> dict[str, Any]:
-    positions, faces, start = [], [], 0
-    more = {name: [] for name in ARRAYS if name in members[0].meshes[0]}
+    names = [name for name in ARRAYS if name in members[0].meshes[0]]
+    arrays: dict[str, list[Pixels]] = {name: [] for name in ("positions", "faces", *names)}
+    start = 0
     for mesh, matrices in _at_places(members):
         points, corners = np.asarray(mesh["positions"]), np.asarray(mesh["faces"], dtype=np.uint32)
         count, each = 1 if matrices is None else len(matrices), len(points)
@@ -436,22 +438,21 @@ def _joined(members: list[_Member]) -> dict[str, Any]:
             points = points @ turns.transpose(0, 2, 1) + matrices[:, None, :3, 3]
             mirrored = np.linalg.det(turns) < 0.0
             corners = np.where(mirrored[:, None, None], corners[:, ::-1], corners)
-        positions.append(points.astype(np.float32).reshape(-1, 3))
+        arrays["positions"].append(points.astype(np.float32).reshape(-1, 3))
         starts = (start + each * np.arange(count)).astype(np.uint32)
-        faces.append((corners + starts[:, None, None]).reshape(-1, 3))
-        for name, arrays in more.items():
+        arrays["faces"].append((corners + starts[:, None, None]).reshape(-1, 3))
+        for name in names:
             array = np.asarray(mesh[name])
             if name == "normals" and matrices is not None:
                 array = array @ np.linalg.inv(turns)  # not to unit length: their ratio is what interpolation needs
             elif count > 1:
                 array = np.broadcast_to(array, (count, *array.shape))
-            arrays.append(array.astype(np.float32).reshape(-1, array.shape[-1]))
+            arrays[name].append(array.astype(np.float32).reshape(-1, array.shape[-1]))
         start += count * each
-    arrays = {"positions": positions, "faces": faces, **more}
     first = members[0].meshes[0]
-    kept = {"face_normals": first["face_normals"]} if "face_normals" in first else {}
+    shading = {"face_normals": first["face_normals"]} if "face_normals" in first else {}
     return {
         "type": "mesh",
         **{name: np.concatenate(parts) for name, parts in arrays.items()},
-        **kept,
+        **shading,
     }

@@ -12,7 +12,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import numpy as np
@@ -27,6 +28,28 @@ from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
 from synfog_usd.render.placed import PlacedScene, Prototypes
 from synfog_usd.scene import Camera, SceneDict
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from drjit.auto.ad import Bool, Float
+    from mitsuba import (
+        BSDF,
+        Color3f,
+        Medium,
+        Mesh,
+        Normal3f,
+        Object,
+        Point2f,
+        Ray3f,
+        RayDifferential3f,
+        Scene,
+        Sensor,
+        Shape,
+        Texture,
+    )
+
+    from synfog_usd.base.arrays import Array, Indices, Pixels
+    from synfog_usd.render.lights.sampler import LightSampler
 
 LIGHTS = (
     "constant",
@@ -44,7 +67,7 @@ OURS = (surface.TYPE, photometric.TYPE)
 """Types that we register."""
 
 GRID_SLICES = 512
-"""Height steps of an exponential fog; linear between them, a step of a tenth of the scale height errs by (1/10)^2 / 8 =
+"""Height steps of an exponential fog; linear between them.  Where a step is a tenth of the scale height, it errs by
 0.13 %.
 """
 
@@ -56,7 +79,7 @@ class MitsubaScene:
     Attributes:
         scene: `mi.Scene` with surfaces, lights and fog boundaries; with the lights alone where `tree` is another.
         tree: what rays are to be asked of: the scene, or a `placed.PlacedScene`.
-        sensor: `mi.Sensor`; its film is not used.
+        sensor: `mi.Sensor` or `FisheyeRays`; its film is not used.
         camera_medium: `mi.Medium` around the camera, or None in clear air.
         shapes: key -> shape object; shapes of a group under (group key, inner key).
         boundaries: index of the fog volume -> its null-material shape object.
@@ -68,22 +91,23 @@ class MitsubaScene:
             `spectra.bsdfs`; made when it is first asked for.
         light_samplers: (the phase function's mean cosine, kinds of light) -> `LightSampler`, once it was asked for;
             none where things move.
-        met_by_guides: (width, height [px], rays of a pixel) -> what those of `denoise.guides` met, the last time.
+        guide_surfaces: (width, height [px], rays of a pixel) -> albedo, normal and distance that the last rays of
+            `denoise.guides` met.
     """
 
-    scene: Any
-    tree: Any
+    scene: Scene
+    tree: Scene | PlacedScene
     sensor: Any
-    camera_medium: Any
-    shapes: Mapping[tuple[str, ...], Any]
-    boundaries: Mapping[int, Any]
+    camera_medium: Medium | None
+    shapes: Mapping[tuple[str, ...], Shape]
+    boundaries: Mapping[int, Shape]
     offset: tuple[float, float]
     source: SceneDict
     face_instances: FaceInstances
     parts: Mapping[str, Any] = field(default_factory=dict)
-    spectral_bsdfs: dict[str, Any] = field(default_factory=dict)
-    light_samplers: dict[tuple[float, int], Any] = field(default_factory=dict)
-    met_by_guides: dict[tuple[int, int, int], Any] = field(default_factory=dict)
+    spectral_bsdfs: dict[str, BSDF] = field(default_factory=dict)
+    light_samplers: dict[tuple[float, int], LightSampler] = field(default_factory=dict)
+    guide_surfaces: dict[tuple[int, int, int], tuple[Color3f, Normal3f, Float]] = field(default_factory=dict)
 
 
 def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
@@ -107,8 +131,8 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     source, face_instances, prototypes = _joined(source, boundaries=boundaries)
     objects = _Objects(mi, source.world)
     objects.build_all()
-    made, shapes = objects.made, objects.shapes
-    top = {key: item for key, item in made.items() if not key.startswith("mat_")}
+    parts, shapes = objects.parts, objects.shapes
+    top = {key: item for key, item in parts.items() if not key.startswith("mat_")}
     backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
     placed = None if prototypes is None else PlacedScene(shapes, source.world, prototypes)
     if placed is not None:
@@ -130,7 +154,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         _offset(source.camera),
         source,
         face_instances,
-        made,
+        parts,
     )
 
 
@@ -152,15 +176,15 @@ class _Objects:
     """Makes Mitsuba's objects of a world, each once.
 
     Attributes:
-        made: key of the world -> its object.
+        parts: key of the world -> its object.
         shapes: names as in `SceneDict.instance_of` -> shape.
     """
 
-    def __init__(self, mi: Any, world: Mapping[str, Any]) -> None:
-        self.made: dict[str, Any] = {}
-        self.shapes: dict[tuple[str, ...], Any] = {}
+    def __init__(self, mi: ModuleType, world: Mapping[str, Any]) -> None:
+        self.parts: dict[str, Any] = {}
+        self.shapes: dict[tuple[str, ...], Shape] = {}
         self._mi, self._world = mi, world
-        self._textures: dict[tuple[Any, ...], Any] = {}
+        self._textures: dict[tuple[int, tuple[tuple[str, bytes], ...]], tuple[Pixels, Texture]] = {}
 
     def build_all(self) -> None:
         """Make them all.
@@ -169,19 +193,20 @@ class _Objects:
             StageError: Mitsuba refuses a part; names its key.
         """
         for key, value in self._world.items():
-            if key == "type" or key in self.made:
+            if key == "type" or key in self.parts:
                 continue
             if value["type"] == "shapegroup":
-                inner = {name: self._build(item, f"{key}.{name}") for name, item in value.items() if name != "type"}
-                self.shapes.update({(key, name): item for name, item in inner.items()})
+                forms = {name: form for name, form in value.items() if name != "type"}
+                inner = {name: cast("Shape", self._build(form, f"{key}.{name}")) for name, form in forms.items()}
+                self.shapes.update({(key, name): shape for name, shape in inner.items()})
                 group = {"type": "shapegroup", **inner}
-                self.made[key] = self._mi.load_dict(group) if inner else self._build(group, key)
+                self.parts[key] = self._mi.load_dict(group) if inner else self._build(group, key)
             else:
-                self.made[key] = self._build(value, key)
+                self.parts[key] = self._build(value, key)
                 if key.startswith(("shape_", "instance_")):
-                    self.shapes[(key,)] = self.made[key]
+                    self.shapes[(key,)] = self.parts[key]
 
-    def _build(self, value: Any, key: str) -> Any:
+    def _build(self, value: Mapping[str, Any], key: str) -> Object:
         try:
             converted = self._convert(value, key)
             return self._mi.load_dict(converted) if isinstance(converted, dict) else converted
@@ -191,15 +216,14 @@ class _Objects:
                 f"{str(error).strip().splitlines()[-1]}"
             ) from error
 
-    def _convert(self, value: Any, key: str) -> Any:
-        if not isinstance(value, Mapping):
-            return value
+    def _convert(self, value: Mapping[str, Any], key: str) -> Object | dict[str, Any]:
         if value.get("type") == "ref":
-            if value["id"] not in self.made:
-                self.made[value["id"]] = self._build(self._world[value["id"]], value["id"])
-            return self.made[value["id"]]
+            if value["id"] not in self.parts:
+                self.parts[value["id"]] = self._build(self._world[value["id"]], value["id"])
+            return self.parts[value["id"]]
         if value.get("type") == "mesh":
-            return _mesh(self._mi, value, key, self._convert)
+            inner = {name: self._convert(value[name], f"{key}.{name}") for name in ("bsdf", "emitter") if name in value}
+            return _mesh(self._mi, value, key, **inner)
         value = surface.drawn(value)
         leaves = {
             name: self._convert(item, f"{key}.{name}") if isinstance(item, Mapping) else _leaf(self._mi, name, item)
@@ -212,18 +236,17 @@ class _Objects:
             return leaves | {"bitmap": _leaf(self._mi, "bitmap", value["bitmap"])}
         return self._texture(value, leaves)
 
-    def _texture(self, value: Mapping[str, Any], leaves: dict[str, Any]) -> Any:
+    def _texture(self, value: Mapping[str, Any], leaves: dict[str, Any]) -> Texture:
         """Of one picture in many surfaces one copy."""
         pixels = value["bitmap"]
-        others = ((name, np.asarray(value[name]).tobytes()) for name in sorted(leaves))
-        known = (id(pixels), *others)
-        if known not in self._textures:
-            made = self._mi.load_dict(leaves | {"bitmap": _leaf(self._mi, "bitmap", pixels)})
-            self._textures[known] = pixels, made  # the pixels are kept, so that no other array gets their id
-        return self._textures[known][1]
+        key = id(pixels), tuple((name, np.asarray(value[name]).tobytes()) for name in sorted(leaves))
+        if key not in self._textures:
+            texture = self._mi.load_dict(leaves | {"bitmap": _leaf(self._mi, "bitmap", pixels)})
+            self._textures[key] = pixels, texture  # the pixels are kept, so that no other array gets their id
+        return self._textures[key][1]
 
 
-def _fog(mi: Any, fog: Sequence[FogVolume]) -> tuple[list[Any], dict[int, Any]]:
+def _fog(mi: ModuleType, fog: Sequence[FogVolume]) -> tuple[list[Medium], dict[int, Shape]]:
     """Media of fogs, and the null-material shapes that hold them by index."""
     media = [_medium(mi, volume.medium, volume.boundary) for volume in fog]
     shapes = {}
@@ -233,12 +256,12 @@ def _fog(mi: Any, fog: Sequence[FogVolume]) -> tuple[list[Any], dict[int, Any]]:
     return media, shapes
 
 
-def make_bsdf(part: Mapping[str, Any]) -> Any:
+def make_bsdf(part: Mapping[str, Any]) -> BSDF:
     """A surface of a `SceneDict` by itself."""
     mi = backend.mitsuba()
     surface.register()
 
-    def convert(value: Any) -> dict[str, Any]:
+    def convert(value: Mapping[str, Any]) -> dict[str, Any]:
         return {
             name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item)
             for name, item in surface.drawn(value).items()
@@ -267,11 +290,11 @@ def refusal(part: Mapping[str, Any], variant: backend.VariantName | None = None)
         corners = np.eye(3, dtype=np.float32)
         words = {"positions": corners, "texcoords": corners[:, :2], "vertex_color": corners, "faces": [[0, 1, 2]]}
         point = dr.zeros(mi.SurfaceInteraction3f)
-        mesh = _mesh(mi, words, "point", None)
+        mesh = _mesh(mi, words, "point")
         point.shape = mesh if backend.is_scalar() else mi.ShapePtr(mesh)
         point.uv, point.wi, point.sh_frame = mi.Point2f(0.3), mi.Vector3f(0.0, 0.6, 0.8), mi.Frame3f([0.0, 0.0, 1.0])
         point.dp_du, point.dp_dv = mi.Vector3f(1.0, 0.0, 0.0), mi.Vector3f(0.0, 1.0, 0.0)
-        bsdf.eval_pdf_sample(mi.BSDFContext(), point, mi.Vector3f(0.0, 0.0, 1.0), 0.5, mi.Point2f(0.5))
+        bsdf.eval_pdf_sample(mi.BSDFContext(), point, mi.Vector3f(0.0, 0.0, 1.0), mi.Float(0.5), mi.Point2f(0.5))
         bsdf.eval_null_transmission(point)
     except (RuntimeError, TypeError, ValueError) as error:
         return _plain(error)
@@ -302,14 +325,14 @@ def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:
 
 
 def seen_by(loaded: MitsubaScene, camera: Camera) -> MitsubaScene:
-    """The same scene from another camera, in the same medium; what was found out of the view is forgotten."""
+    """The same scene from another camera, in the same medium; what was computed for the view is forgotten."""
     return replace(
         loaded,
         sensor=make_sensor(camera, loaded.camera_medium),
         offset=_offset(camera),
         source=replace(loaded.source, camera=camera),
         light_samplers={},
-        met_by_guides={},
+        guide_surfaces={},
     )
 
 
@@ -353,7 +376,7 @@ def _depth(source: SceneDict, index: int) -> int:
     return count
 
 
-def _is_light(part: Any) -> bool:
+def _is_light(part: Mapping[str, Any] | str) -> bool:
     return isinstance(part, Mapping) and ("emitter" in part or part.get("type") in LIGHTS)
 
 
@@ -384,7 +407,7 @@ def _left_out(part: Mapping[str, Any]) -> dict[str, Any]:
     return _with_weight(part, 0.0)
 
 
-def _leaf(mi: Any, name: str, value: Any) -> Any:
+def _leaf(mi: ModuleType, name: str, value: Any) -> Any:
     if name == "to_world":
         return mi.ScalarTransform4f(np.asarray(value, dtype=np.float64))
     if name == "to_uv":
@@ -402,12 +425,10 @@ def _leaf(mi: Any, name: str, value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
+def _mesh(mi: ModuleType, value: Mapping[str, Any], key: str, **parts: Object | dict[str, Any]) -> Mesh:
     properties = mi.Properties()
-    for name in ("bsdf", "emitter"):
-        if name in value:
-            part = convert(value[name], f"{key}.{name}")
-            properties[name] = mi.load_dict(part) if isinstance(part, dict) else part
+    for name, part in parts.items():
+        properties[name] = mi.load_dict(part) if isinstance(part, dict) else part
     properties["face_normals"] = bool(value.get("face_normals", "normals" not in value))
     positions, faces = np.asarray(value["positions"], dtype=np.float32), np.asarray(value["faces"], dtype=np.uint32)
     mesh = mi.Mesh(
@@ -420,7 +441,7 @@ def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
     )
     if "vertex_color" in value:
         mesh.add_attribute("vertex_color", 3, np.asarray(value["vertex_color"], dtype=np.float32).ravel())
-    arrays = {"vertex_positions": positions, "faces": faces}
+    arrays: dict[str, npt.ArrayLike] = {"vertex_positions": positions, "faces": faces}
     if "normals" in value:
         arrays["vertex_normals"] = value["normals"]
     if "texcoords" in value:
@@ -428,7 +449,7 @@ def _mesh(mi: Any, value: Mapping[str, Any], key: str, convert: Any) -> Any:
     return _filled(mesh, arrays, mi)
 
 
-def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
+def _filled(mesh: Mesh, arrays: Mapping[str, npt.ArrayLike], mi: ModuleType) -> Mesh:
     parameters = mi.traverse(mesh)
     for name, array in arrays.items():
         numbers = np.asarray(array, dtype=np.uint32 if name == "faces" else np.float32).ravel()
@@ -438,10 +459,10 @@ def _filled(mesh: Any, arrays: Mapping[str, Any], mi: Any) -> Any:
     return mesh
 
 
-def _medium(mi: Any, medium: FogMedium, boundary: Boundary) -> Any:
+def _medium(mi: ModuleType, medium: FogMedium, boundary: Boundary) -> Medium:
     record = medium.phase_function
-    own = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
-    phase = own if isinstance(record, HenyeyGreenstein) else plugin(record)
+    mitsubas = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
+    phase = mitsubas if isinstance(record, HenyeyGreenstein) else plugin(record)
     parts = {"albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False}
     empty = medium.grid is not None and not medium.grid.values.any()  # delta tracking in nothing would divide by 0
     if medium.profile == "uniform" or empty:
@@ -462,7 +483,7 @@ def _medium(mi: Any, medium: FogMedium, boundary: Boundary) -> Any:
     return mi.load_dict({"type": "heterogeneous", "sigma_t": density, **parts})
 
 
-def _boundary(mi: Any, boundary: Boundary, media: Mapping[str, Any]) -> Any:
+def _boundary(mi: ModuleType, boundary: Boundary, media: Mapping[str, Medium]) -> Shape:
     """A null-material shape with `media` on its two sides."""
     null = {"bsdf": mi.load_dict({"type": "null"}), **media}
     if boundary.kind == "mesh":
@@ -483,7 +504,7 @@ def _boundary(mi: Any, boundary: Boundary, media: Mapping[str, Any]) -> Any:
     )
 
 
-def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any]) -> Any:
+def _boundary_mesh(mi: ModuleType, vertices: Array, faces: Indices, parts: Mapping[str, Object]) -> Mesh:
     properties = mi.Properties()
     for name, part in {**parts, "face_normals": True}.items():
         properties[name] = part
@@ -492,7 +513,7 @@ def _boundary_mesh(mi: Any, vertices: Any, faces: Any, parts: Mapping[str, Any])
     )
 
 
-def _extent(mi: Any, placed: PlacedScene) -> Any:
+def _extent(mi: ModuleType, placed: PlacedScene) -> Mesh:
     """A mesh that nothing meets and that reaches as far as all shapes: skies ask the scene how large it is."""
     box = placed.scene.bbox()
     return _filled(
@@ -536,7 +557,9 @@ class FisheyeRays:
         self.axes = [mi.Vector3f(*(camera.to_world[:3, k] * sign).tolist()) for k, sign in enumerate((1.0, -1.0, -1.0))]
         dr.make_opaque(self.middle, self.eye, self.axes)
 
-    def sample_ray(self, _time: float, _wavelength: float, place: Any, _aperture: Any, _active: Any = True) -> Any:
+    def sample_ray(
+        self, _time: float, _wavelength: float, place: Point2f, _aperture: Point2f, _active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
         """A ray through (u, v) of the picture, 0 to 1 from the top left, from the near plane on, which is a ball here;
         and its weight.
         """
@@ -558,13 +581,13 @@ class FisheyeRays:
         way = dr.normalize(right * (x * scale) + down * (y * scale) + ahead * cosine)
         return mi.Ray3f(self.eye + way * self.near, way), mi.Color3f(1.0)
 
-    def sample_ray_differential(self, *given: Any) -> Any:
+    def sample_ray_differential(self, *given: Any) -> tuple[RayDifferential3f, Color3f]:
         """As `sample_ray`."""
         ray, weight = self.sample_ray(*given)
         return backend.mitsuba().RayDifferential3f(ray), weight
 
 
-def make_sensor(camera: Camera, medium: Any, *, pinhole: bool = False) -> Any:
+def make_sensor(camera: Camera, medium: Medium | None, *, pinhole: bool = False) -> Sensor | FisheyeRays:
     """Mitsuba's sensor for a camera inside `medium` (None in clear air); of a fisheye what makes its rays alone."""
     mi = backend.mitsuba()
     if camera.fisheye is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.base.numbers import RGB, check_bands
@@ -53,11 +53,12 @@ class Model:
         return self.peer
 
 
-def _of(module: str, function: str, **options: Any) -> Callable[..., Any]:
+def _of(module: str, function: str, **fixed: str) -> Callable[..., Any]:
     """A function of a module of `integrators`, which is imported when it is called."""
 
-    def call(*given: Any, **more: Any) -> Any:
-        return getattr(import_module(f"synfog_usd.render.integrators.{module}"), function)(*given, **options, **more)
+    def call(*arguments: Any, **options: Any) -> Integrator | str:
+        imported = import_module(f"synfog_usd.render.integrators.{module}")
+        return cast("Integrator | str", getattr(imported, function)(*arguments, **fixed, **options))
 
     return call
 
@@ -157,7 +158,7 @@ def choose(name: str, scene: SceneDict) -> tuple[str, str]:
         if problem := MODELS[name].refuses(scene):
             raise ParameterError(f"--model {name} does not hold here: {problem}; use --model auto")
         return name, "asked for"
-    ruled_out = []
+    ruled_out = list[str]()
     for candidate in having("unbiased"):
         problem = MODELS[candidate].refuses(scene)
         if not problem:

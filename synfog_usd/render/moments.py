@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Flags, Pixels, total
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
@@ -25,10 +25,10 @@ from synfog_usd.render.film.accumulator import (
     Accumulator,
     Estimator,
     Integrator,
+    Traces,
     add_samples,
     new_accumulator,
 )
-from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.scene import Camera, SceneDict
@@ -45,7 +45,7 @@ MOST = 256
 LEAST = 2
 """Samples of a pixel in a part, one for each half."""
 
-SAID_PX = 3.0
+WARNED_PX = 3.0
 """Way from part to part from which on a warning is given."""
 
 
@@ -77,15 +77,15 @@ class Intervals:
     samples: int
     way_px: float
 
-    def said(self) -> str:
-        """What a user should know, or ''."""
+    def warnings(self) -> list[str]:
+        """What a user should know."""
         step = self.way_px / len(self.parts)
-        if step <= SAID_PX:
-            return ""
-        return (
+        if step <= WARNED_PX:
+            return []
+        return [
             f"things move by up to {step:.1f} pixels from one of {len(self.parts)} moments of the exposure to the "
             f"next; more samples give more moments"
-        )
+        ]
 
 
 def cut(source: SceneDict, samples: int) -> Intervals | None:
@@ -105,13 +105,13 @@ def cut(source: SceneDict, samples: int) -> Intervals | None:
     most = samples // LEAST if longest == whole else math.floor((samples // LEAST - 2) * whole / longest)
     count = max(2, min(math.ceil(way / STEP_PX), most, MOST))
     begins, ends = camera.exposed((np.arange(camera.height_px) + 0.5) / camera.height_px)
-    found = []
+    intervals = []
     for number in range(count):
         begin, end = (first + whole * edge / count for edge in (number, number + 1))
         share = np.minimum(ends, end) - np.maximum(begins, begin)
-        found.append(Interval(begin, end, np.maximum(share, 0.0) / (ends - begins)))
-    busiest = int(sum((part.share > 0.0).astype(int) for part in found).max())
-    return Intervals(tuple(found), max(LEAST, samples // busiest // LEAST * LEAST), way)
+        intervals.append(Interval(begin, end, np.maximum(share, 0.0) / (ends - begins)))
+    busiest = int(total((part.share > 0.0).astype(int) for part in intervals).max())
+    return Intervals(tuple(intervals), max(LEAST, samples // busiest // LEAST * LEAST), way)
 
 
 def _way_px(source: SceneDict) -> float:
@@ -125,14 +125,14 @@ def _way_px(source: SceneDict) -> float:
             if corners is None:
                 continue
             there = np.einsum("kij,cj->kci", way, np.c_[corners, np.ones(len(corners))])[..., :3]
-            place, seen = _projected(there, source.camera)
-            steps = np.linalg.norm(np.diff(place, axis=0), axis=2) * (seen[1:] & seen[:-1])
+            place, ahead = _projected(there, source.camera)
+            steps = np.linalg.norm(np.diff(place, axis=0), axis=2) * (ahead[1:] & ahead[:-1])
             longest = max(longest, float(steps.sum(axis=0).max()))
     return longest
 
 
 def _boxes(part: Mapping[str, Any], ways: int) -> list[Array | None]:
-    """(8, 3) corners of the box around what goes each way; a point where the part has no more of a place."""
+    """(8, 3) corners of the box around what goes each way; a point where the part has a place and no size."""
     if "positions" not in part:
         if "center" in part:
             centre, reach = np.asarray(part["center"], dtype=np.float64), float(part["radius"])
@@ -144,34 +144,34 @@ def _boxes(part: Mapping[str, Any], ways: int) -> list[Array | None]:
         return [_corners(matrix[:3, 3] - reach, matrix[:3, 3] + reach)]
     positions = np.asarray(part["positions"], dtype=np.float64)
     which = part.get("motion")
-    found: list[Array | None] = []
+    boxes: list[Array | None] = []
     for number in range(ways):
-        own = positions if which is None else positions[np.asarray(which) == number]
-        found.append(_corners(own.min(axis=0), own.max(axis=0)) if len(own) else None)
-    return found
+        points = positions if which is None else positions[np.asarray(which) == number]
+        boxes.append(_corners(points.min(axis=0), points.max(axis=0)) if len(points) else None)
+    return boxes
 
 
 def _corners(low: Array, high: Array) -> Array:
     return np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
 
 
-def _projected(points: Array, camera: Camera) -> tuple[Array, Array]:
+def _projected(points: Array, camera: Camera) -> tuple[Array, Flags]:
     """(..., 2) place in the picture [px], brought to its edge, and whether points are before the camera."""
     local = (points - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
     depth = -local[..., 2]
-    seen = depth > camera.near_m
+    ahead = depth > camera.near_m
     scale: Any
     if camera.fisheye is not None:
-        local, seen = local * (1.0, -1.0, -1.0), np.ones_like(seen)
+        local, ahead = local * (1.0, -1.0, -1.0), np.ones_like(ahead)
         local, scale = camera.fisheye.places(local) * (1.0, -1.0), camera.width_px
     elif camera.width_m > 0.0:
         scale = camera.width_px / camera.width_m
     else:
-        scale = 1.0 / (camera.pixel_rad * np.where(seen, depth, 1.0)[..., None])
+        scale = 1.0 / (camera.pixel_rad * np.where(ahead, depth, 1.0)[..., None])
     place = local[..., :2] * (1.0, -1.0) * scale
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     middle = np.array(camera.shift) * (1.0, -1.0) * 2.0 * half
-    return np.clip(place - middle, -half, half), seen
+    return np.clip(place - middle, -half, half), ahead
 
 
 class Movables:
@@ -221,7 +221,7 @@ class Movables:
 
 
 def _between(ways: Array, moment: float) -> Array:
-    """(M, 4, 4) at a moment, of (M, K, 4, 4)."""
+    """Matrices of M ways at a moment, between their K time samples (M, K, 4, 4)."""
     step = moment * (ways.shape[1] - 1)
     first = min(int(step), ways.shape[1] - 2)
     return ways[:, first] + (step - first) * (ways[:, first + 1] - ways[:, first])
@@ -229,20 +229,20 @@ def _between(ways: Array, moment: float) -> Array:
 
 def _placed(part: Mapping[str, Any], matrices: Array) -> dict[str, Any]:
     """A part of a scene moved by (M, 4, 4)."""
-    found = dict(part)
+    moved = dict(part)
     if "positions" in part:
         which = np.asarray(part["motion"]) if "motion" in part else np.zeros(len(part["positions"]), dtype=np.int64)
         points = np.asarray(part["positions"], dtype=np.float64)
-        found["positions"] = np.einsum("nij,nj->ni", matrices[which, :3, :3], points) + matrices[which, :3, 3]
+        moved["positions"] = np.einsum("nij,nj->ni", matrices[which, :3, :3], points) + matrices[which, :3, 3]
         if "normals" in part:
             turn = np.linalg.inv(matrices[:, :3, :3])
-            found["normals"] = np.einsum("nji,nj->ni", turn[which], np.asarray(part["normals"], dtype=np.float64))
+            moved["normals"] = np.einsum("nji,nj->ni", turn[which], np.asarray(part["normals"], dtype=np.float64))
     for name in ("center", "position"):
         if name in part:
-            found[name] = (matrices[0] @ [*part[name], 1.0])[:3].tolist()
+            moved[name] = (matrices[0] @ [*part[name], 1.0])[:3].tolist()
     if "to_world" in part:
-        found["to_world"] = matrices[0] @ np.asarray(part["to_world"], dtype=np.float64)
-    return found
+        moved["to_world"] = matrices[0] @ np.asarray(part["to_world"], dtype=np.float64)
+    return moved
 
 
 def accumulate(
@@ -270,23 +270,24 @@ def accumulate(
         for number, part in enumerate(parts.parts):
             loaded = movables.at(0.5 * (part.begin + part.end))
             eye = replace(loaded.source.camera, during=(part.begin, part.end))
-            seen = replace(loaded, source=replace(loaded.source, camera=eye))
-            integrator = make(seen)
-            told = within(progress, number / len(parts.parts), (number + 1) / len(parts.parts))
-            if isinstance(integrator, FogPath):
-                begun = number * parts.samples // 2  # numbers of paths go on from part to part, and so does their order
-                found = new_accumulator(integrator, pixels)
-                for name in found.estimators:
-                    found.estimators[name].counts += begun
+            exposed = replace(loaded, source=replace(loaded.source, camera=eye))
+            integrator = make(exposed)
+            of_part = within(progress, number / len(parts.parts), (number + 1) / len(parts.parts))
+            if isinstance(integrator, Traces):
+                before = number * parts.samples // 2  # numbers of paths go on from part to part, so does their order
+                sampled = new_accumulator(integrator, pixels)
+                for estimator in sampled.estimators.values():
+                    estimator.counts += before
                 rows = np.flatnonzero(np.repeat(part.share > 0.0, camera.width_px))
-                add_samples(found, integrator, rows, found.even(parts.samples), seed, told)
-                for name in found.estimators:
-                    found.estimators[name].counts -= begun
+                add_samples(sampled, integrator, rows, sampled.even(parts.samples), seed, of_part)
+                for estimator in sampled.estimators.values():
+                    estimator.counts -= before
             else:
-                found = integrator.accumulate(samples=parts.samples, seed=seed32(seed, "moment", number), progress=told)
-            merged.add(found, np.repeat(part.share, camera.width_px))
-            if rays and ALL not in found.estimators:
-                looked.add(guides(seen, rays=max(LEAST, rays // len(parts.parts))), part.share)
+                moment_seed = seed32(seed, "moment", number)
+                sampled = integrator.accumulate(samples=parts.samples, seed=moment_seed, progress=of_part)
+            merged.add(sampled, np.repeat(part.share, camera.width_px))
+            if rays and ALL not in sampled.estimators:
+                looked.add(guides(exposed, rays=max(LEAST, rays // len(parts.parts))), part.share)
     finally:
         movables.back()
     return merged.all(), looked.all()
@@ -296,25 +297,25 @@ class _Merged:
     """The mean of accumulators by each one's share, and its variance."""
 
     def __init__(self) -> None:
-        self.means: dict[str, dict[str, Array]] = {}
-        self.variance: dict[str, Array] = {}
-        self.groups: dict[str, list[Array]] = {}
-        self.counts: dict[str, Array] = {}
-        self.lost, self.weights = 0, np.zeros(0)
+        self.means: dict[str, dict[str, Pixels]] = {}
+        self.variance: dict[str, Pixels] = {}
+        self.groups: dict[str, list[Pixels]] = {}
+        self.counts: dict[str, Pixels] = {}
+        self.lost, self.weights, self.shape = 0, np.zeros(0), (0, 0)
 
-    def add(self, found: Accumulator, share: Array) -> None:
+    def add(self, sampled: Accumulator, share: Array) -> None:
         """One with a share (P,) of each pixel."""
-        seen, by_pixel = share > 0.0, share[:, None]
-        self.lost, self.weights = self.lost + found.lost, found.weights
-        for name, one in found.estimators.items():
-            own = np.maximum(one.counts, 1)[:, :, None]
+        exposed, by_pixel = share > 0.0, share[:, None]
+        self.lost, self.weights, self.shape = self.lost + sampled.lost, sampled.weights, sampled.shape
+        for name, estimator in sampled.estimators.items():
+            count = np.maximum(estimator.counts, 1)[:, :, None]
             means = self.means.setdefault(name, {})
-            for aov, sums in one.aovs.items():
-                mean = (by_pixel * (sums / own)).astype(np.float32)
+            for aov, sums in estimator.aovs.items():
+                mean = (by_pixel * (sums / count)).astype(np.float32)
                 means[aov] = means[aov] + mean if aov in means else mean
-            spread = np.where(seen[:, None], one.variance(), 0.0) * by_pixel**2
-            groups = [by_pixel * (group / one.number()) for group in one.groups]
-            counts = one.counts * seen
+            spread = np.where(exposed[:, None], estimator.variance(), 0.0) * by_pixel**2
+            groups = [by_pixel * (group / estimator.number()) for group in estimator.groups]
+            counts = estimator.counts * exposed
             if name in self.variance:
                 spread, counts = spread + self.variance[name], counts + self.counts[name]
                 groups = [before + now for before, now in zip(self.groups[name], groups, strict=True)]
@@ -327,27 +328,27 @@ class _Merged:
             counts = self.counts[name]
             aovs = {aov: (mean * counts[:, :, None]).astype(np.float32) for aov, mean in means.items()}
             number = np.maximum(counts.sum(axis=0), 1)[:, None]
-            mean = sum(sums.sum(axis=0, dtype=np.float64) for sums in aovs.values()) / number
+            mean = total(sums.sum(axis=0, dtype=np.float64) for sums in aovs.values()) / number
             squares = (self.variance[name] * np.maximum(number - 1.0, 1.0) + mean**2) * number
             estimators[name] = Estimator(aovs, squares, [group * number for group in self.groups[name]], counts)
-        return Accumulator(estimators, self.lost, weights=self.weights)
+        return Accumulator(estimators, self.lost, self.shape, self.weights)
 
 
 class _MeanGuides:
     """The mean of guides by each one's share of the rows."""
 
     def __init__(self) -> None:
-        self.sums: list[Array] | None = None
+        self.sums: list[Pixels] = []
 
-    def add(self, found: Guides, share: Array) -> None:
+    def add(self, guides: Guides, share: Array) -> None:
         """One with a share (H,) of each row."""
         rows = share.astype(np.float32)[:, None]
-        own = [found.albedo * rows[..., None], found.normal * rows[..., None], found.transmittance * rows]
-        self.sums = own if self.sums is None else [before + now for before, now in zip(self.sums, own, strict=True)]
+        part = [guides.albedo * rows[..., None], guides.normal * rows[..., None], guides.transmittance * rows]
+        self.sums = [before + now for before, now in zip(self.sums, part, strict=True)] if self.sums else part
 
     def all(self) -> Guides | None:
         """None where there were none."""
-        if self.sums is None:
+        if not self.sums:
             return None
         albedo, normal, transmittance = self.sums
         return Guides(albedo, normal, np.minimum(transmittance, np.float32(1.0)))  # shares add up to 1 but for rounding

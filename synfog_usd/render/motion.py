@@ -6,7 +6,7 @@ they are at another moment.  Knows nothing of what the camera sees.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -14,8 +14,12 @@ import numpy as np
 from synfog_usd.render import backend
 from synfog_usd.scene import Camera
 
+if TYPE_CHECKING:
+    from drjit.auto.ad import Float
+    from mitsuba import Ray3f, Vector3f
 
-def moved(ray: Any, camera: Camera, down: Any, u: Any) -> Any:
+
+def moved(ray: Ray3f, camera: Camera, down: Float, u: Float) -> Ray3f:
     """A ray of a camera that moves while it exposes, at the share `u` of its row's exposure (Cook, Porter and
     Carpenter 1984).
 
@@ -47,7 +51,7 @@ def moved(ray: Any, camera: Camera, down: Any, u: Any) -> Any:
     return ray
 
 
-def _turned(way: Any, axis: Any, angle: Any) -> Any:
+def _turned(way: Vector3f, axis: Vector3f, angle: Float) -> Vector3f:
     """A vector turned about an axis (Rodrigues)."""
     sine, cosine = dr.sincos(angle)
     return way * cosine + dr.cross(axis, way) * sine + axis * (dr.dot(axis, way) * (1.0 - cosine))

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Pixels, total
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render import denoise as denoising
 from synfog_usd.render import dualbuffer
-from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import COMPONENTS, Accumulator
+from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.render.sampling.adaptive import Target, reached
 from synfog_usd.render.spectra import bands as banding
 from synfog_usd.scene import Camera
@@ -33,11 +33,11 @@ class Rendered:
     """What one shot gives.
 
     Attributes:
-        radiance: (H, W, C) with the variance of its mean; linear Rec.709 in cd m-2, or bands in W m-2 sr-1 nm-1.
+        radiance: (H, W, C) with the variance of its mean; in [cd m-2], or of bands in [W m-2 sr-1 nm-1].
         aovs: what the pixel-centre rays met.
-        components: 'surface', 'airlight_single', 'airlight_multiple', and 'lamps_direct' where lamps are seen -> (H, W,
-            C) float32 radiance, which add up to all of it and may be below 0 by noise, but where they were denoised;
-            empty where the model tells none apart.
+        components: name -> (H, W, C) float32 radiance, of 'surface', 'airlight_single', 'airlight_multiple', and of
+            'lamps_direct' where lamps are seen.  They add up to the radiance.  Noise takes them below 0 where they
+            were not denoised.  Empty where the model separates none.
         error: (H, W) expected RMS error of each pixel's luminance [cd m-2] after denoising; None where nothing was
             denoised, and of a draft.
         groups: light group -> (H, W, C) float32 radiance; empty where there is only one. They add up to the radiance
@@ -48,22 +48,22 @@ class Rendered:
         relative_error: median over the pixels of `error`, or else of the standard error of the samples, over luminance.
         warnings: what went wrong on the way, in words.
         samples: paths per pixel on average, as `Settings` means them.
-        met: share of the pixels whose `error`, or else standard error, is under the target; None where there was no
-            target.
+        under_target: share of the pixels whose `error`, or else standard error, is under the target; None without
+            one.
     """
 
     radiance: Image
-    aovs: aovs.Aovs
+    aovs: Aovs
     relative_error: float
     mottle: float | None
-    components: Mapping[str, np.ndarray]
-    error: np.ndarray | None
-    groups: Mapping[str, np.ndarray]
+    components: Mapping[str, Pixels]
+    error: Pixels | None
+    groups: Mapping[str, Pixels]
     model: str
     why: str
     warnings: tuple[str, ...]
     samples: float
-    met: float | None
+    under_target: float | None
 
 
 @dataclass(frozen=True)
@@ -95,145 +95,118 @@ class About:
         if camera.fisheye:
             view = {"fisheye_coefficients": list(camera.fisheye.coefficients), "fisheye_fov_x_deg": camera.fov_x_deg}
         shift_x, shift_y = camera.axis_shift
-        made = {"model": self.model, "samples": self.samples, "seed": self.seed}
-        return {**view, "shift_x": shift_x, "shift_y": shift_y, **made}
+        sampling = {"model": self.model, "samples": self.samples, "seed": self.seed}
+        return {**view, "shift_x": shift_x, "shift_y": shift_y, **sampling}
 
 
+@dataclass(frozen=True)
 class Sampled:
     """A picture that was sampled and is not made yet; it holds nothing of the renderer.
 
-    Args:
+    Attributes:
         about: how it was sampled.
         accumulated: its sums.
         cleaning: what denoises it, or None.
-        seen: what the pixel-centre rays met.
-        names: light groups, where there are several.
-        shares: their parts of the components, where it is denoised, see `denoise.divide`.
+        centres: what the pixel-centre rays met.
+        group_names: light groups, where there are several.
         why: why the model was taken.
         warnings: what went wrong on the way.
-
-    Attributes:
-        samples: paths of a pixel, see `Rendered`.
     """
 
-    def __init__(
-        self,
-        about: About,
-        accumulated: Accumulator,
-        cleaning: Cleaning | None,
-        seen: aovs.Aovs,
-        names: Sequence[str],
-        shares: Sequence[tuple[str, Mapping[str, np.ndarray]]],
-        why: str,
-        warnings: list[str],
-    ) -> None:
-        self._about, self._accumulated, self._cleaning, self._seen = about, accumulated, cleaning, seen
-        self._names, self._shares, self._why, self._warnings = names, shares, why, warnings
-        self.samples = accumulated.samples_per_pixel
+    about: About
+    accumulated: Accumulator
+    cleaning: Cleaning | None
+    centres: Aovs
+    group_names: Sequence[str]
+    why: str
+    warnings: Sequence[str]
 
     def picture(self, progress: Progress = silent) -> Rendered:
-        """Make it, once: a large frame fills memory, so that each sum is let go once it is read."""
-        variance, noise = self._variance()
-        denoised = self._denoised(progress)
-        rms = denoised.error.rms if denoised and denoised.error else None
-        relative_error, met = self._error(denoised, noise)
-        del noise
-        if self._accumulated.lost:
-            lost, number = self._accumulated.lost, self._accumulated.samples
-            self._warnings.append(f"{lost} of {number} samples were not finite and count as black")
+        """Make it."""
+        accumulated, why, warnings = self.accumulated, self.why, list(self.warnings)
+        denoised = self.cleaning.picture(accumulated, progress) if self.cleaning else None
+        if self.cleaning and self.cleaning.problem:
+            warnings.append(self.cleaning.problem)
+        elif self.cleaning and denoised is None:
+            why += "; not denoised, since it tells no components apart"
+        error = denoised.error if denoised else None
+        variance, weights = accumulated.variance(), accumulated.weights
+        relative_error, under_target = self._error(denoised, variance @ weights * weights.sum())
+        if error and relative_error > LARGE_ERROR:
+            much = f"{relative_error:.0%}" if relative_error < 1.0 else "more than its own light"
+            warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
+        if accumulated.lost:
+            warnings.append(f"{accumulated.lost} of {accumulated.samples} samples were not finite and count as black")
         mean, components = self._light(denoised)
-        radiance = Image(
-            mean,
-            banding.names(self._about.bands),
-            Quantity.RADIANCE,
-            variance=variance,
-            provenance=self._about.provenance() | ({"denoised": True} if denoised else {}),
-        )
-        return Rendered(
-            radiance=radiance,
-            aovs=self._seen,
-            relative_error=relative_error,
-            mottle=denoised.error.mottle if denoised and denoised.error else None,
-            components=components,
-            error=rms,
-            groups=self._groups(denoised, mean.shape),
-            model=self._about.model,
-            why=self._why,
-            warnings=tuple(self._warnings),
-            samples=self.samples,
-            met=met,
-        )
-
-    def _variance(self) -> tuple[np.ndarray, Array]:
-        """(H, W, C) of the samples' mean, and (P,) of its luminance."""
-        spread, weights = self._accumulated.variance(), self._accumulated.weights
-        noise = np.asarray(spread @ weights * weights.sum())
-        for estimator in self._accumulated.estimators.values():
-            estimator.squares = np.zeros((0, 0), dtype=estimator.squares.dtype)
-        return spread.reshape(*self._about.shape, -1).astype(np.float32, copy=False), noise
-
-    def _denoised(self, progress: Progress) -> denoising.Denoised | None:
-        if self._cleaning is None:
-            return None
-        denoised = self._cleaning.picture(self._accumulated, self._accumulated.samples, progress)
-        if self._cleaning.problem:
-            self._warnings.append(self._cleaning.problem)
-        elif denoised is None:
-            self._why += "; not denoised, since it tells no components apart"
-        return denoised
-
-    def _error(self, denoised: denoising.Denoised | None, noise: Array) -> tuple[float, float | None]:
-        """The median pixel's relative error, and the share of pixels under the target."""
-        target, met = self._about.target, None
-        luminance: np.ndarray
-        error: np.ndarray
-        if denoised and denoised.error:
-            luminance, error = denoised.luminance(self._accumulated.weights).ravel(), denoised.error.rms.ravel()
-            if not target.open:
-                met = float((error <= target.allowed_in_all(luminance)).mean())
-        else:
-            luminance, error = self._accumulated.luminance(), np.sqrt(noise)
-            if not target.open and denoised is None:
-                met = reached(luminance, noise, target, self._about.shape)
-        lit = luminance > 0.0
-        relative = float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0
-        if denoised and denoised.error and relative > LARGE_ERROR:
-            much = f"{relative:.0%}" if relative < 1.0 else "more than its own light"
-            self._warnings.append(f"after denoising the median pixel still errs by {much}; more samples mend it")
-        return relative, met
-
-    def _light(self, denoised: denoising.Denoised | None) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(H, W, C) of the picture, and of its components."""
-        if denoised:
-            components = dict(denoised.components)
-            mean = np.asarray(sum(components.values()))
-            for estimator in self._accumulated.estimators.values():
-                estimator.aovs.clear()
-        else:
-            mean = self._picture_of(self._accumulated.mean())
-            components = {
-                name: self._picture_of(aov)
-                for name in COMPONENTS
-                if (aov := self._accumulated.take_aov(name)) is not None
-            }
         if mean.min() < 0.0:
             below = int((mean < 0.0).any(axis=2).sum())
-            self._warnings.append(
+            warnings.append(
                 f"{below} pixels came out below 0, noise of a difference, and count as black; more samples mend it"
             )
             mean = np.maximum(mean, 0.0)
-        return mean, components
+        groups = self._divided(denoised, warnings) or {
+            name: self._picture_of(accumulated.group(index)) for index, name in enumerate(self.group_names)
+        }
+        radiance = Image(
+            mean,
+            banding.names(self.about.bands),
+            Quantity.RADIANCE,
+            variance=self._picture_of(variance),
+            provenance=self.about.provenance() | ({"denoised": True} if denoised else {}),
+        )
+        return Rendered(
+            radiance=radiance,
+            aovs=self.centres,
+            relative_error=relative_error,
+            mottle=error.mottle if error else None,
+            components=components,
+            error=error.rms if error else None,
+            groups=groups,
+            model=self.about.model,
+            why=why,
+            warnings=tuple(warnings),
+            samples=accumulated.samples_per_pixel,
+            under_target=under_target,
+        )
 
-    def _groups(self, denoised: denoising.Denoised | None, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
-        if not self._shares:
-            return {name: self._picture_of(sum(self._accumulated.take_group().values())) for name in self._names}
-        divided = self._cleaning.divided(denoised, self._shares) if self._cleaning and denoised else None
-        if self._cleaning and denoised and divided is None:
-            self._warnings.append(f"light groups are {self._cleaning.problem}")
-        return divided or {name: denoising.fine(lights, shape) for name, lights in self._shares}
+    def _error(self, denoised: denoising.Denoised | None, noise: Pixels) -> tuple[float, float | None]:
+        """The median pixel's relative error, and the share of pixels under the target; for (P,) variances."""
+        target, share = self.about.target, None
+        if denoised and denoised.error:
+            luminance, error = denoised.luminance(self.accumulated.weights).ravel(), denoised.error.rms.ravel()
+            if not target.open:
+                share = float((error <= target.allowed_in_all(luminance)).mean())
+        else:
+            luminance, error = self.accumulated.luminance(), np.sqrt(noise)
+            if not target.open and denoised is None:
+                share = reached(luminance, noise, target, self.about.shape)
+        lit = luminance > 0.0
+        return float(np.median(error[lit] / luminance[lit])) if lit.any() else 0.0, share
 
-    def _picture_of(self, pixels: Any) -> np.ndarray:
-        return np.asarray(pixels.reshape(*self._about.shape, -1).astype(np.float32))
+    def _light(self, denoised: denoising.Denoised | None) -> tuple[Pixels, dict[str, Pixels]]:
+        """(H, W, C) of the picture, and of its components."""
+        if denoised:
+            return total(denoised.components.values()), dict(denoised.components)
+        means = {name: self.accumulated.aov(name) for name in COMPONENTS}
+        components = {name: self._picture_of(mean) for name, mean in means.items() if mean is not None}
+        return self._picture_of(self.accumulated.mean()), components
+
+    def _divided(self, denoised: denoising.Denoised | None, warnings: list[str]) -> dict[str, Pixels]:
+        """The light groups where halves are kept apart to be denoised; none elsewhere."""
+        if self.cleaning is None or not self.accumulated.component_names:
+            return {}
+        if denoised and (divided := self.cleaning.divided(denoised, self._shares())) is not None:
+            return divided
+        if denoised:
+            warnings.append(f"light groups are {self.cleaning.problem}")
+        return {name: denoising.fine(lights, self.about.shape) for name, lights in self._shares()}
+
+    def _shares(self) -> Iterator[tuple[str, dict[str, Pixels]]]:
+        """Each light group's part of each component in squares, as `denoise.divide` takes it, one after the other."""
+        return ((name, self.accumulated.group_in_squares(index)) for index, name in enumerate(self.group_names))
+
+    def _picture_of(self, pixels: Pixels) -> Pixels:
+        return pixels.reshape(*self.about.shape, -1).astype(np.float32, copy=False)
 
 
 class Cleaning:
@@ -258,16 +231,18 @@ class Cleaning:
         self._guides: denoising.Guides | None = None
         self._done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
 
-    def picture(self, accumulated: Accumulator, number: int, progress: Progress = silent) -> denoising.Denoised | None:
-        """Of so many samples; None where no components are told apart, or something goes wrong."""
-        if number not in self._done and (halves := accumulated.component_halves(*self._shape)):
+    def picture(self, accumulated: Accumulator, progress: Progress = silent) -> denoising.Denoised | None:
+        """Of the samples so far; None where the model separates no components, or something goes wrong."""
+        number, names = accumulated.samples, accumulated.component_names
+        if number not in self._done and names:
             self._done.clear()
             self.problem = ""
             try:
                 progress("denoising", 0.0)
                 clean = functools.partial(denoising.denoise_halves, quick=self._few)
+                halves = {name: functools.partial(accumulated.halves, name) for name in names}
                 self._done[number] = (denoising.denoise_draft if self._draft else clean)(
-                    halves, self._seen(), accumulated.weights, progress=within(progress, 0.3, 1.0)
+                    halves, self._guides_of_scene(), accumulated.weights, progress=within(progress, 0.3, 1.0)
                 )
             except (denoising.DenoiserError, MemoryError) as error:
                 self._done[number] = None
@@ -275,30 +250,32 @@ class Cleaning:
         return self._done.get(number)
 
     def divided(
-        self, denoised: denoising.Denoised, groups: Iterable[tuple[str, Mapping[str, np.ndarray]]]
-    ) -> dict[str, np.ndarray] | None:
+        self, denoised: denoising.Denoised, groups: Iterable[tuple[str, Mapping[str, Pixels]]]
+    ) -> dict[str, Pixels] | None:
         """The picture by light group, see `denoise.divide`; None where something goes wrong."""
         try:
-            return denoising.divide(denoised.components, groups, self._seen(), quick=self._few, draft=self._draft)
+            return denoising.divide(
+                denoised.components, groups, self._guides_of_scene(), quick=self._few, draft=self._draft
+            )
         except (denoising.DenoiserError, MemoryError) as error:
             self.problem = _not_denoised(error)
             return None
 
-    def judged(self, accumulated: Accumulator) -> tuple[np.ndarray, dualbuffer.Error] | None:
+    def judged(self, accumulated: Accumulator) -> tuple[Pixels, dualbuffer.Error] | None:
         """What the samples so far give."""
-        found = self.picture(accumulated, accumulated.samples)
-        if found is None or found.error is None:
+        denoised = self.picture(accumulated)
+        if denoised is None or denoised.error is None:
             return None
-        return found.luminance(accumulated.weights), found.error
+        return denoised.luminance(accumulated.weights), denoised.error
 
     def see(self, accumulated: Accumulator) -> None:
         """Look at the scene, where pictures will be made of these samples, and let it go."""
-        if accumulated.component_halves(*self._shape):
-            with contextlib.suppress(MemoryError):  # told when the picture is made
-                self._seen()
+        if accumulated.component_names:
+            with contextlib.suppress(MemoryError):  # `picture` says it
+                self._guides_of_scene()
         self._look = None
 
-    def _seen(self) -> denoising.Guides:
+    def _guides_of_scene(self) -> denoising.Guides:
         if self._guides is None and self._look is not None:
             self._guides = self._look()
         if self._guides is None:

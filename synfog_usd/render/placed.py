@@ -9,15 +9,32 @@ that is, and where it stands.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.render import backend
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import (
+        Mesh,
+        Normal3f,
+        Object,
+        Point3f,
+        PreliminaryIntersection3f,
+        Ray3f,
+        RayFlags,
+        Scene,
+        Shape,
+        SurfaceInteraction3f,
+        Vector3f,
+    )
 
 TRACED = "llvm_ad_mono"
 
@@ -79,51 +96,61 @@ class PlacedScene:
         label_of: (R,) label id of what has a row in the table, -1 where each face has its own.
     """
 
-    def __init__(self, shapes: Mapping[tuple[str, ...], Any], world: Mapping[str, Any], prototypes: Prototypes) -> None:
+    def __init__(
+        self, shapes: Mapping[tuple[str, ...], Shape], world: Mapping[str, Any], prototypes: Prototypes
+    ) -> None:
         mi = backend.mitsuba()
-        numbers = {key: number_of(shape, mi) for (key,), shape in shapes.items()}
+        numbers = {key: backend.index_of(mi.ShapePtr(shape)) for (key,), shape in shapes.items()}
         vertices = {
             key: mi.traverse(shape)["vertex_positions"]
             for (key,), shape in shapes.items()
             if world[key]["type"] == "mesh"
         }
-        own_mi = importlib.import_module(f"mitsuba.{TRACED}")
-        self._ray, traced = own_mi.Ray3f, _traced(own_mi, vertices, world, prototypes)
-        self.scene = _made({"type": "scene", **traced})
+        traced_mi = importlib.import_module(f"mitsuba.{TRACED}")
+        self._ray, traced = traced_mi.Ray3f, _traced(traced_mi, vertices, world, prototypes)
+        self.scene = cast("Scene", _loaded({"type": "scene", **traced}))
         traced_numbers = {
-            key: number_of(shape, own_mi) for key, shape in traced.items() if not key.startswith("group_")
+            key: backend.index_of(traced_mi.ShapePtr(shape))
+            for key, shape in traced.items()
+            if not key.startswith("group_")
         }
-        own, first, labels, matrices = [0], [0], [-1], [np.eye(4)]  # row 0 is of nothing
+        shape, first, labels, matrices = [0], [0], [-1], [np.eye(4)]  # row 0 is of nothing
         row_of = np.zeros(max(traced_numbers.values()) + 1, dtype=np.uint32)
         for key in (key for key in numbers if key in traced_numbers):
-            row_of[traced_numbers[key]] = len(own)
-            own, first, labels, matrices = [*own, numbers[key]], [*first, 0], [*labels, -1], [*matrices, np.eye(4)]
+            row_of[traced_numbers[key]] = len(shape)
+            shape, first, labels, matrices = [*shape, numbers[key]], [*first, 0], [*labels, -1], [*matrices, np.eye(4)]
         for k, place in enumerate(prototypes.places):
-            row_of[traced_numbers[f"place_{k}"]] = len(own)
+            row_of[traced_numbers[f"place_{k}"]] = len(shape)
             for piece, label in zip(prototypes.pieces[place.prototype], place.labels, strict=True):
-                own.append(numbers[piece.key])
+                shape.append(numbers[piece.key])
                 first.append(piece.first_face)
                 labels.append(label)
                 matrices.append(place.to_world)
         self.label_of = np.array(labels, dtype=np.int64)
-        self._row_of, self._own, self._first = _column(row_of), _column(own), _column(first)
+        self._row_of, self._shape, self._first = _column(row_of), _column(shape), _column(first)
         self._is_placed = _column(self.label_of >= 0)
         self._matrix = backend.floats(np.array(matrices)[:, :3].ravel())
-        dr.make_opaque(self._row_of, self._own, self._first, self._is_placed, self._matrix)
+        dr.make_opaque(self._row_of, self._shape, self._first, self._is_placed, self._matrix)
 
-    def ray_test(self, ray: Any, active: Any = True) -> Any:
+    def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """As that of `mi.Scene`."""
-        return self.scene.ray_test(self._as_traced(ray), active)
+        return self.scene.ray_test(self._as_traced(ray), backend.mitsuba().Bool(active))
 
-    def ray_intersect_preliminary(self, ray: Any, coherent: bool = False, active: Any = True) -> Any:
+    def ray_intersect_preliminary(
+        self, ray: Ray3f, coherent: bool = False, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
         """As that of `mi.Scene`; the surface that it computes is where its prototype was made, if it is of one."""
         return self._hit(ray, coherent, active)[0]
 
-    def ray_intersect(self, ray: Any, _ray_flags: Any = None, coherent: bool = False, active: Any = True) -> Any:
-        """As that of `mi.Scene`, with all flags; no instance is told."""
-        return self.met(ray, coherent, active)[0]
+    def ray_intersect(
+        self, ray: Ray3f, _ray_flags: RayFlags | None = None, coherent: bool = False, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """As that of `mi.Scene`, with all flags; its `instance` stays empty."""
+        return self.hits(ray, coherent, active)[0]
 
-    def met(self, ray: Any, coherent: bool = False, active: Any = True) -> tuple[Any, Any]:
+    def hits(
+        self, ray: Ray3f, coherent: bool = False, active: Bool | bool = True
+    ) -> tuple[SurfaceInteraction3f, UInt32]:
         """What rays meet, and the rows by which `label_of` knows it; 0 of nothing."""
         mi = backend.mitsuba()
         hit, row = self._hit(ray, coherent, active)
@@ -132,21 +159,21 @@ class PlacedScene:
         self._put_to_place(si, ray, row, hit.valid & (dr.gather(mi.UInt32, self._is_placed, row, hit.valid) > 0))
         return si, row
 
-    def _hit(self, ray: Any, coherent: bool, active: Any) -> tuple[Any, Any]:
+    def _hit(self, ray: Ray3f, coherent: bool, active: Bool | bool) -> tuple[PreliminaryIntersection3f, UInt32]:
         """The face that a ray meets, of the variant in force, and its row."""
         mi = backend.mitsuba()
-        hit = self.scene.ray_intersect_preliminary(self._as_traced(ray), coherent, active)
+        hit = self.scene.ray_intersect_preliminary(self._as_traced(ray), mi.Bool(coherent), mi.Bool(active))
         some = active & hit.is_valid()
-        shape, instance = (dr.reinterpret_array(mi.UInt32, one) for one in (hit.shape, hit.instance))
+        shape, instance = backend.indices_of(hit.shape), backend.indices_of(hit.instance)
         row = dr.gather(mi.UInt32, self._row_of, dr.select(instance > 0, instance, shape), some)
         row += dr.select(some & (instance > 0), hit.shape_index, 0)
-        found = dr.zeros(mi.PreliminaryIntersection3f)
-        found.t, found.prim_uv, found.valid = hit.t, hit.prim_uv, some
-        found.prim_index = hit.prim_index + dr.gather(mi.UInt32, self._first, row, some)
-        found.shape = dr.reinterpret_array(mi.ShapePtr, dr.gather(mi.UInt32, self._own, row, some))
-        return found, row
+        face = dr.zeros(mi.PreliminaryIntersection3f)
+        face.t, face.prim_uv, face.valid = hit.t, hit.prim_uv, some
+        face.prim_index = hit.prim_index + dr.gather(mi.UInt32, self._first, row, some)
+        face.shape = dr.reinterpret_array(mi.ShapePtr, dr.gather(mi.UInt32, self._shape, row, some))
+        return face, row
 
-    def _put_to_place(self, si: Any, ray: Any, row: Any, placed: Any) -> None:
+    def _put_to_place(self, si: SurfaceInteraction3f, ray: Ray3f, row: UInt32, placed: Bool) -> None:
         """Move surfaces from the coordinates of their prototypes to where these stand."""
         mi = backend.mitsuba()
         x, y, z = (dr.gather(mi.Vector4f, self._matrix, row * 3 + k, placed) for k in range(3))
@@ -154,10 +181,10 @@ class PlacedScene:
         across = dr.cross(b, c), dr.cross(c, a), dr.cross(a, b)  # the inverse transposed, times the determinant
         side = dr.sign(dr.dot(a, across[0]))
 
-        def along(v: Any) -> Any:
+        def along(v: Point3f | Vector3f) -> Vector3f:
             return a * v.x + b * v.y + c * v.z
 
-        def upright(n: Any) -> Any:
+        def upright(n: Normal3f) -> Normal3f:
             return mi.Normal3f(dr.normalize((across[0] * n.x + across[1] * n.y + across[2] * n.z) * side))
 
         si.p = dr.select(placed, mi.Point3f(along(si.p) + mi.Vector3f(x.w, y.w, z.w)), si.p)
@@ -169,18 +196,20 @@ class PlacedScene:
         si.sh_frame = dr.select(placed, si.sh_frame, unmoved)
         si.wi = dr.select(placed, si.sh_frame.to_local(-ray.d), si.wi)
 
-    def _as_traced(self, ray: Any) -> Any:
-        found = dr.zeros(self._ray)
-        found.o, found.d, found.maxt, found.time = ray.o, ray.d, ray.maxt, ray.time
-        return found
+    def _as_traced(self, ray: Ray3f) -> Ray3f:
+        traced: Ray3f = dr.zeros(self._ray)
+        traced.o, traced.d, traced.maxt, traced.time = ray.o, ray.d, ray.maxt, ray.time
+        return traced
 
 
-def _traced(mi: Any, vertices: Mapping[str, Any], world: Mapping[str, Any], prototypes: Prototypes) -> dict[str, Any]:
+def _traced(
+    mi: ModuleType, vertices: Mapping[str, Float], world: Mapping[str, Any], prototypes: Prototypes
+) -> dict[str, Object]:
     """All shapes without their surfaces: under their keys, as 'group_K' the prototypes, as 'place_K' the places."""
     standing = {key: len(world[key]["faces"]) for key in vertices}
     for piece in (piece for pieces in prototypes.pieces.values() for piece in pieces):
         standing[piece.key] = min(standing[piece.key], piece.first_face)
-    found = {
+    shapes: dict[str, Object] = {
         key: _mesh(mi, vertices[key], np.asarray(world[key]["faces"])[:count])
         for key, count in standing.items()
         if count
@@ -190,18 +219,18 @@ def _traced(mi: Any, vertices: Mapping[str, Any], world: Mapping[str, Any], prot
             form = {name: value for name, value in part.items() if name not in ("bsdf", "emitter")}
             if "to_world" in form:
                 form["to_world"] = mi.ScalarTransform4f(np.asarray(form["to_world"], dtype=np.float64))
-            found[key] = _made(form)
+            shapes[key] = _loaded(form)
     groups = {}
     for k, (prototype, pieces) in enumerate(prototypes.pieces.items()):
         meshes = {f"piece_{n:06}": _piece(mi, world[piece.key], piece) for n, piece in enumerate(pieces)}
-        groups[prototype] = found[f"group_{k}"] = _made({"type": "shapegroup", **meshes})
+        groups[prototype] = shapes[f"group_{k}"] = _loaded({"type": "shapegroup", **meshes})
     for k, place in enumerate(prototypes.places):
         to_world = mi.ScalarTransform4f(place.to_world)
-        found[f"place_{k}"] = _made({"type": "instance", "to_world": to_world, "group": groups[place.prototype]})
-    return found
+        shapes[f"place_{k}"] = _loaded({"type": "instance", "to_world": to_world, "group": groups[place.prototype]})
+    return shapes
 
 
-def _made(parts: dict[str, Any]) -> Any:
+def _loaded(parts: dict[str, Any]) -> Object:
     """As `mi.load_dict`, in `TRACED`; to choose that variant for a moment takes 0.1 s, in which Mitsuba reads all its
     integrators anew.
     """
@@ -212,29 +241,24 @@ def _made(parts: dict[str, Any]) -> Any:
     return parser.instantiate(config, state)
 
 
-def _piece(mi: Any, part: Mapping[str, Any], piece: Piece) -> Any:
+def _piece(mi: ModuleType, part: Mapping[str, Any], piece: Piece) -> Mesh:
     """A mesh of a prototype by itself."""
     faces = np.asarray(part["faces"])[piece.first_face : piece.first_face + piece.faces] - np.uint32(piece.first_vertex)
     corners = np.asarray(part["positions"])[piece.first_vertex : piece.first_vertex + piece.vertices]
     return _mesh(mi, backend.floats(corners.ravel()), faces)
 
 
-def _mesh(mi: Any, vertices: Any, faces: Any) -> Any:
+def _mesh(mi: ModuleType, vertices: Float, faces: Pixels) -> Mesh:
     """Positions (3 V,) of the variant in force lie where they are."""
-    made = mi.Mesh("traced", dr.width(vertices) // 3, len(faces))
-    parameters = backend.mitsuba().traverse(made)
+    mesh: Mesh = mi.Mesh("traced", dr.width(vertices) // 3, len(faces))
+    parameters = backend.mitsuba().traverse(mesh)
     parameters["vertex_positions"], parameters["faces"] = vertices, backend.numbers(faces.ravel())
     parameters.update()
-    return made
+    return mesh
 
 
-def number_of(shape: Any, mi: Any) -> int:
-    """Number of a shape in the renderer, of the variant `mi`."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
-
-
-def _column(numbers: Any) -> Any:
+def _column(numbers: Sequence[int] | Pixels) -> UInt32:
     """A column of the table, in memory of at least four numbers."""
-    found = np.zeros(max(len(numbers), 4), dtype=np.uint32)
-    found[: len(numbers)] = numbers
-    return backend.numbers(found)
+    padded = np.zeros(max(len(numbers), 4), dtype=np.uint32)
+    padded[: len(numbers)] = numbers
+    return backend.numbers(padded)

@@ -17,18 +17,18 @@ NO_DEVICE = 100
 
 def main() -> None:
     """Say it on standard output."""
-    _, asked = sys.argv
-    if asked == "gpus":
+    _, question = sys.argv
+    if question == "gpus":
         print(_gpus())
         return
     _lift_limits()
-    if asked.startswith("cuda") and (problem := _no_cuda()):
+    if question.startswith("cuda") and (problem := _no_cuda()):
         print(f"missing: {problem}")
         return
     import mitsuba as mi
     import numpy as np
 
-    backend.set_variant(mi, asked)
+    backend.set_variant(mi, question)
     ball = {"type": "sphere", "bsdf": {"type": "principled"}}
     film = {"type": "hdrfilm", "width": 4, "height": 4}
     scene = {
@@ -37,8 +37,8 @@ def main() -> None:
         "sky": {"type": "constant"},
         "camera": {"type": "perspective", "film": film},
     }
-    made = mi.load_dict({**scene, "integrator": {"type": "volpath", "max_depth": 4}})
-    if np.isfinite(np.array(mi.render(made, spp=1))).all():
+    loaded = mi.load_dict({**scene, "integrator": {"type": "volpath", "max_depth": 4}})
+    if np.isfinite(np.array(mi.render(loaded, spp=1))).all():
         print("proved")
 
 

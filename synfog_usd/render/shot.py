@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,10 +29,9 @@ from synfog_usd.render.film.accumulator import (
     WITH_FIREFLIES,
     Accumulator,
     Integrator,
-    Squares,
+    Traces,
 )
 from synfog_usd.render.integrators.eye import LENS_M
-from synfog_usd.render.integrators.path import FogPath
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
 from synfog_usd.render.picture import About, Cleaning, Rendered, Sampled
@@ -54,7 +53,7 @@ class Settings:
 
     Attributes:
         model: a name of `models.MODELS`, or 'auto'.
-        samples: paths per pixel, 2 to 1 048 576; with a target, the most there may be on average.
+        samples: paths per pixel, 2 to 2^20; with a target, the most there may be on average.
         seed: the same gives the same bytes in the same variant.
         size: (width, height) in pixels instead of the camera's own.
         target_error: relative standard error of a pixel at which sampling stops, or None.
@@ -63,7 +62,7 @@ class Settings:
             None.
         scatterings, bounces: limits of `path`: how often the fog, and how often surfaces, may scatter a
             path; None is no limit.
-        bands: light that each path carries: 3 for R, G and B, or 8, 16 or 31 wavelength bands.
+        bands: of wavelength that each path carries, see `spectra.bands.CENTRES_NM`; 3 are R, G and B.
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
         draft: denoise for a look alone, see `denoise.denoise_draft`.
@@ -114,15 +113,15 @@ def picture_bytes(scene: SceneDict, settings: Settings) -> int:
     parts += sum(len(AOVS[name]) for name in estimators if settings.denoise and name in WITH_FIREFLIES)
     groups = len(set(scene.group_of.values()))
     groups = groups if groups > 1 else 0
-    kept = HALVES * channels * parts + 3 * len(estimators)
+    sums: float = HALVES * channels * parts + 3 * len(estimators)
     in_squares = len(estimators) - (DIRECT in estimators) if settings.denoise else 0
     lit = channels * groups * (len(estimators) - in_squares + in_squares / SHARE_PX**2)
-    sampled = kept + channels * len(estimators) + lit
-    made = kept + SEEN_FLOATS + channels * (1 + parts + groups) + lit
+    sums += channels * len(estimators) + lit
+    picture = SEEN_FLOATS + channels * (1 + parts + groups)
     if settings.denoise:
-        made += CLEANING_FLOATS + 4 * HALVES * channels
+        picture += CLEANING_FLOATS + 4 * HALVES * channels
     width, height = settings.size or (scene.camera.width_px, scene.camera.height_px)
-    return round(4 * width * height * max(sampled, made))
+    return round(4 * width * height * (sums + picture))
 
 
 def check_memory(scene: SceneDict, settings: Settings) -> None:
@@ -153,7 +152,7 @@ def render(
 
     Args:
         scene: what `translate` made.
-        settings: what it is to be; `Settings()` if left out.
+        settings: `Settings()` if left out.
         loaded: the scene as `load` gave it for this model and size, to render it again; None loads it.
         clear: what the pixel-centre rays meet in clear air, where that is known; None measures it.
         progress: told after each pass.
@@ -205,22 +204,20 @@ def sample(
     parts = moments.cut(loaded.source, settings.samples)
     if parts:
         why += f"; {len(parts.parts)} moments of the exposure, {parts.samples} samples in each"
-        warnings += [said] if (said := parts.said()) else []
+        warnings += parts.warnings()
     integrator = make(loaded)
     if parts:
         accumulated, cleaning = _moving(loaded, parts, make, settings, progress)
     else:
         accumulated, cleaning = _still(loaded, integrator, settings, progress)
-    names = tuple(getattr(integrator, "group_names", ()))
-    names = names if len(names) > 1 else ()
-    shares = _shares(accumulated, names, loaded.source.camera) if cleaning else []
+    names = integrator.group_names if isinstance(integrator, Traces) else ()
     backend.let_go()
     if cleaning:
         cleaning.see(accumulated)
-    seen = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
+    centres = aovs.measure(loaded) if clear is None else aovs.seen_through(loaded, clear)
     backend.let_go()
     about = About(model, settings.seed, settings.samples, settings.bands, loaded.source.camera, settings.target)
-    return Sampled(about, accumulated, cleaning, seen, names, shares, why, warnings)
+    return Sampled(about, accumulated, cleaning, centres, names if len(names) > 1 else (), why, warnings)
 
 
 def _moving(
@@ -233,41 +230,30 @@ def _moving(
     """Samples of an exposure in which something moves, and what cleans them."""
     rays = _guide_rays(settings.samples) if settings.denoise else 0
     movables = moments.Movables(loaded)
-    accumulated, known = moments.accumulate(movables, parts, make, seed=settings.seed, rays=rays, progress=progress)
-    return accumulated, _cleaning(lambda: known, loaded.source.camera, settings) if settings.denoise else None
+    accumulated, guides = moments.accumulate(movables, parts, make, seed=settings.seed, rays=rays, progress=progress)
+    return accumulated, _cleaning(lambda: guides, loaded.source.camera, settings) if settings.denoise else None
 
 
 def _still(
     loaded: MitsubaScene, integrator: Integrator, settings: Settings, progress: Progress
 ) -> tuple[Accumulator, Cleaning | None]:
     """Samples of what stands still, and what cleans them."""
-    how: dict[str, Any] = {"target": settings.target, "seed": settings.seed, "progress": progress}
+    seed, target = settings.seed, settings.target
     if not settings.denoise:
-        return accumulate_to_target(integrator, **how), None
+        return accumulate_to_target(integrator, target=target, seed=seed, progress=progress), None
     rays = _guide_rays(settings.samples)
-    if isinstance(integrator, FogPath):  # the processor looks while the first kernel of the samples is made ready
-        look = denoising.begun_guides(loaded, rays=rays)
+    if isinstance(integrator, Traces):  # the processor looks while the first kernel of the samples is made ready
+        look = denoising.GuideRays(loaded, rays=rays).guides
     else:
         look = functools.partial(denoising.guides, loaded, rays=rays)
     cleaning = _cleaning(look, loaded.source.camera, settings)
-    return accumulate_denoised(integrator, denoised=cleaning.judged, **how), cleaning
+    accumulated = accumulate_denoised(integrator, target=target, seed=seed, denoised=cleaning.judged, progress=progress)
+    return accumulated, cleaning
 
 
 def _cleaning(look: Callable[[], denoising.Guides | None], camera: Camera, settings: Settings) -> Cleaning:
     few = settings.samples < denoising.FEW
     return Cleaning(look, (camera.height_px, camera.width_px), few=few, draft=settings.draft)
-
-
-def _shares(accumulated: Accumulator, names: Sequence[str], camera: Camera) -> list[tuple[str, dict[str, np.ndarray]]]:
-    """Each light group's part of each component, (h, w, C) in squares, as `denoise.divide` takes it."""
-    shape, cut = (camera.height_px, camera.width_px), Squares(camera.width_px, camera.height_px)
-    found = list[tuple[str, dict[str, np.ndarray]]]()
-    for name in names if accumulated.component_halves(*shape) else ():
-        lights = accumulated.take_group(cut)
-        for of, light in lights.items():
-            lights[of] = light.reshape(*(shape if of == DIRECT else cut.shape), -1)
-        found.append((name, lights))
-    return found
 
 
 def _guide_rays(samples: int) -> int:
@@ -308,7 +294,7 @@ def _clipped(loaded: MitsubaScene, near_m: float) -> MitsubaScene:
     probe = replace(
         loaded, source=replace(loaded.source, camera=replace(camera, width_px=PROBE_PX[0], height_px=PROBE_PX[1]))
     )
-    seen = aovs.measure(probe)
-    if not np.any((seen.distance_m if camera.fisheye else seen.depth_m) < near_m):
+    centres = aovs.measure(probe)
+    if not np.any((centres.distance_m if camera.fisheye else centres.depth_m) < near_m):
         return loaded
     return seen_by(loaded, replace(camera, near_m=near_m))

@@ -14,7 +14,7 @@ FOGGY = scene({**sky(), "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}
 def test_a_loose_target_takes_fewer_samples_than_a_tight_one_and_both_are_met():
     """The error that is asked for is the error that is stated, and a tenth of the error costs more."""
     loose, tight = (render(FOGGY, model="path", samples=8192, target_error=error, seed=1) for error in (0.2, 0.015))
-    assert loose.met == 1.0 and tight.met > 0.95  # an edge takes more than all
+    assert loose.under_target == 1.0 and tight.under_target > 0.95  # an edge takes more than all
     assert loose.samples < tight.samples < 8193  # the last round is in whole chunks
     assert tight.relative_error < 0.017
 
@@ -22,7 +22,7 @@ def test_a_loose_target_takes_fewer_samples_than_a_tight_one_and_both_are_met():
 def test_samples_are_the_other_stop():
     """What cannot be met with the samples allowed is not met, and said to be."""
     done = render(FOGGY, model="path", samples=64, target_error=0.001, seed=1)
-    assert done.met < 0.1 and done.samples <= 1.25 * 64
+    assert done.under_target < 0.1 and done.samples <= 1.25 * 64
 
 
 def test_the_sensors_target_is_a_third_of_its_noise():

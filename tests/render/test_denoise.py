@@ -16,6 +16,7 @@ from support.parts import bulb, glow, matte, rgb, squares
 
 from synfog_usd.render import denoise, picture, shot
 from synfog_usd.render.film.accumulator import HALVES
+from synfog_usd.render.load import in_fog
 from synfog_usd.render.sampling.adaptive import FIRST, sensor_target
 from synfog_usd.scene.testing import scene, uniform_fog
 
@@ -80,7 +81,7 @@ def hidden():
     return (
         source,
         denoise.guides(shot.load(source, boundaries=False)),
-        denoise.guides(shot.load(source, boundaries=False), clear=True),
+        denoise.guides(in_fog(shot.load(source, boundaries=False), ())),
     )
 
 
@@ -131,7 +132,7 @@ def test_what_the_fog_hides_is_not_painted_back(hidden):
         surface, airlight = sampled(source, 16, seed, loaded)
         cleaned = sum(denoise.denoise({"surface": surface, "airlight": airlight}, found).values())
         assert abs(rms(steps(cleaned, clear.albedo)) - truth) < 0.005
-        painted = denoise.denoise_plain(surface + airlight, clear.albedo, clear.normal)
+        painted = denoise.denoise({"surface": surface + airlight}, clear)["surface"]
         assert rms(steps(painted, clear.albedo)) > truth + 0.01, "this test cannot fail"
 
 
@@ -209,8 +210,9 @@ def test_the_number_of_threads_changes_no_byte():
     code = (
         "import hashlib, os, sys; os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: int(sys.argv[1])]);"
         "import numpy as np; from synfog_usd.render import denoise;"
-        "noise = np.random.default_rng(0).exponential(1.0, (90, 160, 3));"
-        "print(hashlib.sha256(denoise.denoise_plain(noise).tobytes()).hexdigest())"
+        "noise = np.random.default_rng(0).exponential(1.0, (90, 160, 3)); flat = np.ones((90, 160, 3));"
+        "cleaned = denoise.denoise({'surface': noise}, denoise.Guides(flat, 0.0 * flat, flat[..., 0]))['surface'];"
+        "print(hashlib.sha256(cleaned.tobytes()).hexdigest())"
     )
     one, all_of_them = (
         subprocess.run([sys.executable, "-c", code, count], capture_output=True, text=True, check=True).stdout
@@ -339,7 +341,7 @@ def test_what_a_sensor_would_not_see_is_sampled_no_longer():
     """
     source, how = street(), {"model": "path", "seed": 1, "size": (48, 27), "denoise": True}
     done = shot.render(source, samples=512, sensor_sigma=sensor_target(lambda luminance: luminance), **how)
-    assert done.samples == spent(FIRST) and done.met > 0.9
+    assert done.samples == spent(FIRST) and done.under_target > 0.9
     few = shot.render(source, samples=FIRST, **how)
     assert done.radiance.variance.tobytes() == few.radiance.variance.tobytes()
 

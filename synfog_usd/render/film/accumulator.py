@@ -4,7 +4,7 @@ Samples are summed in a fixed order.  Mitsuba's own film adds samples
 with atomics, whose order changes from run to run; this sum does not, so the same
 seed gives the same bytes.  With our path tracers a sample's random numbers depend on its
 pixel and its number alone, and samples are summed in chunks of CHUNK: how many
-pixels or chunks are in flight at once makes no difference but to where a firefly begins (`fireflies`).
+pixels or chunks are in flight together makes no difference but to where a firefly begins (`fireflies`).
 
 Samples go to two halves in turn, with random numbers of their own: two pictures that know
 nothing of each other, from which `dualbuffer` tells what denoising leaves.
@@ -13,14 +13,14 @@ nothing of each other, from which `dualbuffer` tells what denoising leaves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from synfog_usd.base import numbers
-from synfog_usd.base.arrays import Array, FloatArray, Indices
+from synfog_usd.base.arrays import FloatArray, Indices, Pixels, total
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.base.seeds import seed32
 from synfog_usd.render import backend
@@ -28,11 +28,17 @@ from synfog_usd.render.dualbuffer import mottle
 from synfog_usd.render.film import fireflies
 from synfog_usd.render.load import MitsubaScene
 
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from drjit.auto.ad import UInt32
+
+    from synfog_usd.render.spectra.bands import Bands, SampledSpectrum
+
 CHUNK = 16
 """Paths that one lane traces one after the other, and that are summed in float32."""
 
 CHUNKED_LANES = 1 << 18
-"""Lanes at once where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
+"""Lanes of a launch where each traces a chunk: 0.1 s between two progress reports, and sums of a few hundred MB."""
 
 SHORT_LANES = 2 * CHUNKED_LANES
 """The same where each traces half a chunk at most: to have a kernel made ready costs 0.2 s, however little it does."""
@@ -103,9 +109,7 @@ ESTIMATOR_COST = {
 crossing), and fixed, so that the same seed gives the same bytes."""
 
 SHARE_PX = 2
-"""Side of the squares in which light groups are kept and denoised: crossing at dusk, MOR 150, 320x180, 4 samples: the
-same error to 3 % for a third of the time; raw groups err 2.3 times as much.
-"""
+"""Side [px] of the squares in which light groups are kept and denoised: a third of the time for the same error."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ class Squares:
         """Rows and columns of squares."""
         return -(-self.height // SHARE_PX), -(-self.width // SHARE_PX)
 
-    def add(self, target: Array, pixels: Indices, values: Array) -> None:
+    def add(self, target: Pixels, pixels: Indices, values: Pixels) -> None:
         """Add (N, C) values of pixels (N,) to the sums (S, C) of their squares."""
         squares = pixels // self.width // SHARE_PX * self.shape[1] + pixels % self.width // SHARE_PX
         low = int(squares.min(initial=0))
@@ -133,11 +137,11 @@ class Squares:
             sums = np.bincount(squares, weights=values[:, channel])
             target[low : low + len(sums), channel] += sums.astype(target.dtype)
 
-    def sums(self, values: Array) -> Array:
+    def sums(self, values: Pixels) -> Pixels:
         """(S, C) of values (P, C) of all pixels."""
-        found = np.zeros((math.prod(self.shape), values.shape[1]), dtype=values.dtype)
-        self.add(found, np.arange(len(values)), values)
-        return found
+        sums = np.zeros((math.prod(self.shape), values.shape[1]), dtype=values.dtype)
+        self.add(sums, np.arange(len(values)), values)
+        return sums
 
 
 @dataclass(frozen=True)
@@ -150,9 +154,9 @@ class Moments:
         lost: paths that were not finite and count as zero.
     """
 
-    aovs: tuple[Any, ...]
-    groups: tuple[Any, ...]
-    lost: Any
+    aovs: tuple[SampledSpectrum, ...]
+    groups: tuple[SampledSpectrum, ...]
+    lost: UInt32
 
 
 class Integrator(Protocol):
@@ -162,22 +166,23 @@ class Integrator(Protocol):
         """An image of `samples` >= 2 paths per pixel; the same seed gives the same numbers in the same variant."""
 
 
+@runtime_checkable
 class Traces(Integrator, Protocol):
     """An integrator whose estimators can be given samples of their own.
 
     Attributes:
         loaded: scene and sensor.
         estimators: their names.
-        groups: number of light groups.
+        group_names: the light groups.
         bands: what a path carries.
     """
 
     loaded: MitsubaScene
     estimators: tuple[str, ...]
-    groups: int
-    bands: Any
+    group_names: tuple[str, ...]
+    bands: Bands
 
-    def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+    def trace(self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int) -> Moments:
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
         path.
         """
@@ -198,45 +203,41 @@ class Estimator:
         fireflies: name -> (H, P, C) what lanes brought beyond their limit; empty where there is none.
     """
 
-    aovs: dict[str, Array]
-    squares: Array
-    groups: list[Array]
-    counts: Indices
-    lanes: Indices | None = None
+    aovs: dict[str, Pixels]
+    squares: Pixels
+    groups: list[Pixels]
+    counts: Pixels
+    lanes: Pixels | None = None
     cut: Squares | None = None
-    fireflies: dict[str, Array] = field(default_factory=dict)
+    fireflies: dict[str, Pixels] = field(default_factory=dict)
 
-    def number(self) -> Array:
+    def number(self) -> Pixels:
         """(P, 1) samples, 1 at least, as the type of `squares`."""
         return np.maximum(self.counts.sum(axis=0), 1)[:, None].astype(self.squares.dtype)
 
-    def total(self, name: str) -> Array:
+    def total(self, name: str) -> Pixels:
         """(P, C) sum of an AOV over both halves, fireflies and all, as the type of `squares`."""
         sums = self.aovs[name].sum(axis=0, dtype=self.squares.dtype)
         if name in self.fireflies:
             sums += self.fireflies[name].sum(axis=0, dtype=self.squares.dtype)
         return sums
 
-    def mean(self) -> Array:
+    def mean(self) -> Pixels:
         """(P, C)."""
-        return sum(self.total(name) for name in self.aovs) / self.number()
+        return total(self.total(name) for name in self.aovs) / self.number()
 
-    def take_group(self, cut: Squares | None) -> Array:
-        """Mean of the first light group that is left, (P, C), or (S, C) where it is kept or asked for in squares; its
-        sums are let go.
-        """
-        sums, number = self.groups.pop(0), self.number()
+    def group(self, index: int, cut: Squares | None) -> Pixels:
+        """Mean of a light group, (P, C), or (S, C) where it is kept or asked for in squares."""
+        sums, number = self.groups[index], self.number()
         if cut and not self.cut:
             sums = cut.sums(sums)
         return np.asarray(sums / (cut.sums(number) if cut else number))
 
-    def variance(self) -> Array:
+    def variance(self) -> Pixels:
         """(P, C) variance of the mean; infinite with fewer than two samples.
 
-        Samples of a lane keep apart from each other (`sampling.sobol`), so their scatter is too large; that of lanes is
-        right where each lane is a run of its own, and else a little too large: of 128 samples by a sixth on the
-        crossing in clear air at noon.  Of four lanes the median pixel's error is told 11 % too small, as a chi-squared
-        of 3 has it.
+        Samples of a lane are stratified (`sampling.sobol`), so their scatter is larger than their error.  The scatter
+        of lanes is right where each is a run of its own, and else a little too large.
         """
         number, square = self.number(), self.mean() ** 2
         draws = number if self.lanes is None else self.lanes[:, None]
@@ -262,37 +263,37 @@ class Accumulator:
     estimators: dict[str, Estimator]
     lost: int = 0
     shape: tuple[int, int] = (0, 0)
-    weights: Array = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
+    weights: Pixels = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
 
-    def mean(self) -> Array:
+    def mean(self) -> Pixels:
         """(P, C) all light."""
-        return sum(estimator.mean() for estimator in self.estimators.values())
+        return total(estimator.mean() for estimator in self.estimators.values())
 
-    def variance(self) -> Array:
+    def variance(self) -> Pixels:
         """(P, C) variance of the mean."""
-        return sum(estimator.variance() for estimator in self.estimators.values())
+        return total(estimator.variance() for estimator in self.estimators.values())
 
-    def luminance(self) -> Array:
+    def luminance(self) -> Pixels:
         """(P,) of all light [cd m-2], 0 at least."""
         return np.maximum(self.mean() @ self.weights, 0.0)
 
-    def luminance_variance(self) -> Array:
+    def luminance_variance(self) -> Pixels:
         """(P,) variance of its mean, as if the channels rose and fell together, as those of one path do."""
         return np.asarray(self.variance() @ self.weights * self.weights.sum())
 
-    def aov(self, name: str) -> Array | None:
+    def aov(self, name: str) -> Pixels | None:
         """(P, C) mean of an AOV, or None where the integrator does not tell it apart."""
-        found = [
+        means = [
             estimator.total(name) / estimator.number()
             for estimator in self.estimators.values()
             if name in estimator.aovs
         ]
-        if found:
-            return sum(found)
+        if means:
+            return total(means)
         return None if ALL in self.estimators or name == DIRECT else np.zeros((self.pixels, len(self.weights)))
 
     def halves(self, component: str) -> FloatArray:
-        """(2, P, C) mean of one of `component_halves` in each half, where they are kept apart; fireflies spread out."""
+        """(2, H, W, C) mean of one of `component_names` in each half; fireflies spread out."""
         halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
         for name, estimator in self.estimators.items():
             for aov, sums in estimator.aovs.items():
@@ -301,20 +302,20 @@ class Accumulator:
                     halves += sums / number
                     if aov in estimator.fireflies:
                         halves += self._spread_out(name, estimator.fireflies[aov] / number)
-        return halves
+        return halves.reshape(HALVES, *self.shape, -1)
 
-    def _spread_out(self, name: str, light: FloatArray) -> FloatArray:
+    def _spread_out(self, name: str, light: Pixels) -> FloatArray:
         """(2, P, C) fireflies of an estimator, in the shape of all light of its lamps that the fog scatters."""
         like = self._smooth(name)
         if LAMPS in self.estimators:
             like += self._smooth(LAMPS)
-        return np.stack([fireflies.spread_out(one, shape, self.shape) for one, shape in zip(light, like, strict=True)])
+        return np.stack([fireflies.spread_out(*half, self.shape) for half in zip(light, like, strict=True)])
 
     def _smooth(self, name: str) -> FloatArray:
         """(2, P) luminance of an estimator in each half, without its fireflies."""
         estimator, weights = self.estimators[name], np.asarray(self.weights, dtype=np.float32)
         number = np.maximum(estimator.counts, 1).astype(np.float32)
-        return np.asarray(sum(sums @ weights for sums in estimator.aovs.values()) / number)
+        return np.asarray(total(sums @ weights for sums in estimator.aovs.values()) / number)
 
     def luminance_halves(self, *names: str) -> FloatArray:
         """(2, H, W) luminance of some estimators' light in each half; of all where none is named."""
@@ -325,42 +326,34 @@ class Accumulator:
             estimator = self.estimators[name]
             if estimator.fireflies:
                 number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
-                halves += self._spread_out(name, sum(estimator.fireflies.values()) / number) @ weights
+                halves += self._spread_out(name, total(estimator.fireflies.values()) / number) @ weights
         return halves.reshape(HALVES, *self.shape)
 
-    def component_halves(self, height: int, width: int) -> dict[str, Callable[[], FloatArray]]:
-        """What makes (2, H, W, C) of each of `COMPONENTS`, and of `LIT` apart from the surfaces' other light; one by
-        one, since a large frame's fill memory; empty where halves are not kept apart.
-        """
-
-        def made(name: str) -> Callable[[], FloatArray]:
-            return lambda: self.halves(name).reshape(HALVES, height, width, -1)
-
-        there = [name for name in (LIT, *COMPONENTS) if name not in (LIT, DIRECT) or name in self.estimators]
-        return {} if ALL in self.estimators else {name: made(name) for name in there}
+    @property
+    def component_names(self) -> tuple[str, ...]:
+        """`COMPONENTS`, and `LIT` apart from the surfaces' other light; empty where halves are not kept apart."""
+        if ALL in self.estimators:
+            return ()
+        return tuple(name for name in (LIT, *COMPONENTS) if name not in (LIT, DIRECT) or name in self.estimators)
 
     @property
     def pixels(self) -> int:
         """P."""
         return next(iter(self.estimators.values())).counts.shape[1]
 
-    def take_aov(self, name: str) -> Array | None:
-        """The same, and its sums are let go."""
-        mean = self.aov(name)
-        for estimator in self.estimators.values():
-            estimator.aovs.pop(name, None)
-            estimator.fireflies.pop(name, None)
-        return mean
+    def group(self, index: int) -> Pixels:
+        """(P, C) mean of a light group."""
+        return total(estimator.group(index, None) for estimator in self.estimators.values())
 
-    def take_group(self, cut: Squares | None = None) -> dict[str, Array]:
-        """Mean of the first light group that is left, by estimator; its sums are let go.
-
-        Args:
-            cut: squares in which it is wanted, (S, C), as it must be where it is kept in them; what needs no denoising,
-                DIRECT, is (P, C) all the same.
-        """
+    def group_in_squares(self, index: int) -> dict[str, Pixels]:
+        """(h, w, C) mean of a light group by estimator, in squares; of DIRECT, which needs no denoising, (H, W, C)."""
+        height, width = self.shape
+        cut = Squares(width, height)
         return {
-            name: estimator.take_group(None if name == DIRECT else cut) for name, estimator in self.estimators.items()
+            name: estimator.group(index, None).reshape(height, width, -1)
+            if name == DIRECT
+            else estimator.group(index, cut).reshape(*cut.shape, -1)
+            for name, estimator in self.estimators.items()
         }
 
     @property
@@ -418,7 +411,7 @@ def rounds(samples: int, *, denoised: bool = False) -> tuple[int, ...]:
     return (first, samples) if samples >= (2 * HALVES if denoised else 3 * CHUNK) else (samples,)
 
 
-def undivided(total: Array, squares: Array, samples: int, lost: int = 0) -> Accumulator:
+def undivided(total: Pixels, squares: Pixels, samples: int, lost: int = 0) -> Accumulator:
     """An image of one estimator alone, from sums over its samples."""
     return Accumulator(
         {ALL: Estimator({ALL: total[None]}, squares, [], np.full((1, len(total)), samples, dtype=np.int64))}, lost
@@ -463,9 +456,9 @@ def _filled(weight: Mapping[str, float], have: Mapping[str, int], budget: float)
     """Samples in proportion to `weight`, none fewer than there are, that cost `budget` in all."""
     fixed: set[str] = set()
     while True:
-        left = budget - sum(ESTIMATOR_COST[name] * have[name] for name in fixed)
+        rest = budget - sum(ESTIMATOR_COST[name] * have[name] for name in fixed)
         free = [name for name in weight if name not in fixed]
-        unit = max(left, 0.0) / max(sum(ESTIMATOR_COST[name] * weight[name] for name in free), 1e-30)
+        unit = max(rest, 0.0) / max(sum(ESTIMATOR_COST[name] * weight[name] for name in free), 1e-30)
         over = {name for name in free if unit * weight[name] < have[name]}
         if not over:
             return {name: float(have[name]) if name in fixed else unit * weight[name] for name in weight}
@@ -476,11 +469,11 @@ def _coarse_variances(accumulated: Accumulator) -> dict[str, float]:
     """Relative variance of one sample of each estimator at low frequencies, which denoising leaves; by both halves."""
     shape = accumulated.shape
     level = np.maximum(accumulated.luminance(), 0.0).reshape(shape)
-    found = {}
+    variances = {}
     for name, estimator in accumulated.estimators.items():
         halves = accumulated.luminance_halves(name)
-        found[name] = mottle(halves, level) ** 2 * float(estimator.counts.sum(axis=0).mean())
-    return found
+        variances[name] = mottle(halves, level) ** 2 * float(estimator.counts.sum(axis=0).mean())
+    return variances
 
 
 def _relative_variances(accumulated: Accumulator, pixels: Indices | None) -> dict[str, float]:
@@ -488,12 +481,12 @@ def _relative_variances(accumulated: Accumulator, pixels: Indices | None) -> dic
     some = slice(None) if pixels is None else pixels
     level = accumulated.luminance()[some]
     scale = np.maximum(level, 0.05 * level.mean() + 1e-30)
-    found = {}
+    variances = {}
     for name, estimator in accumulated.estimators.items():
         spread = estimator.variance()[some] @ accumulated.weights * accumulated.weights.sum()
         relative = spread * estimator.counts.sum(axis=0)[some] / scale**2
-        found[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
-    return found
+        variances[name] = float(np.sort(relative)[: max(1, int(0.99 * len(relative)))].mean())
+    return variances
 
 
 def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) -> Accumulator:
@@ -506,7 +499,8 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
         denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT, and fireflies
             apart.
     """
-    groups, bands = integrator.groups if integrator.groups > 1 else 0, integrator.bands
+    groups, bands = len(integrator.group_names), integrator.bands
+    groups = groups if groups > 1 else 0
     shape, camera = (pixels, bands.count), integrator.loaded.source.camera
 
     def empty(estimator: str) -> Estimator:
@@ -544,56 +538,66 @@ def add_samples(
         pixels: (N,) their numbers, ascending.
         samples: estimator -> paths a pixel, or in each cell; half of them, or one more, go to the first half.
     """
-    all_of_it = max(len(pixels) * sum(count * ESTIMATOR_COST[name] for name, count in samples.items()), 1.0)
-    under_way: list[_Launch] = []
-    done, times = 0.0, _times(integrator)
-
-    def collect() -> None:
-        nonlocal done
-        for launch in under_way:
+    whole_cost = max(len(pixels) * sum(count * ESTIMATOR_COST[name] for name, count in samples.items()), 1.0)
+    cost = 0.0
+    for launches in _batches(_launches(accumulated, integrator, pixels, samples, seed), _times(integrator)):
+        for launch in launches:  # to wait for one is to wait for all
             _add(accumulated, launch)
-            done += launch.paths * ESTIMATOR_COST[launch.name]
-        if under_way:  # told once, since to wait for one is to wait for all
-            progress("rendering", min(done / all_of_it, 1.0))
-        under_way.clear()
+            cost += launch.paths * ESTIMATOR_COST[launch.name]
+        progress("rendering", min(cost / whole_cost, 1.0))
 
+
+def _launches(
+    accumulated: Accumulator, integrator: Traces, pixels: Indices, samples: Mapping[str, int], seed: int
+) -> Iterator[_Launch]:
+    """Paths that `add_samples` asks for, each launch traced as soon as it is taken; arguments as there."""
+    times = _times(integrator)
     for name, count in samples.items():
-        started, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
-        begun = [int(half[0]) % CHUNK for half in started] if started.size else [0] * HALVES
-        for length, chunks in _chunks(count, len(pixels), begun, times):
+        before, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
+        of_chunk = [int(half[0]) % CHUNK for half in before] if before.size else [0] * HALVES
+        for length, chunks in _chunks(count, len(pixels), of_chunk, times):
             for low in range(0, len(pixels), times * CHUNKED_LANES):
                 some = slice(low, low + times * CHUNKED_LANES)
-                first = np.concatenate([started[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
+                first = np.concatenate([before[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
                 halves = [half for half, _ in chunks]
-                under_way.append(_launched(integrator, name, pixels[some], first, length, halves, estimator_seed))
-                lanes = sum(launch.lanes for launch in under_way)
-                if lanes >= times * AHEAD_LANES or sum(launch.paths for launch in under_way) >= times * AHEAD:
-                    collect()
-    collect()
+                yield _launched(integrator, name, pixels[some], first, length, halves, estimator_seed)
+
+
+def _batches(launches: Iterable[_Launch], times: int) -> Iterator[list[_Launch]]:
+    """Launches that are under way together."""
+    batch: list[_Launch] = []
+    for launch in launches:
+        batch.append(launch)
+        many_lanes = sum(launched.lanes for launched in batch) >= times * AHEAD_LANES
+        if many_lanes or sum(launched.paths for launched in batch) >= times * AHEAD:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
 
 
 def _times(integrator: Traces) -> int:
-    """How many times `CHUNKED_LANES` are traced at once: of more bands fewer, in the same memory."""
+    """How many times `CHUNKED_LANES` are traced together: of more bands fewer, in the same memory."""
     return max(1, CUDA_TIMES * numbers.RGB // integrator.bands.count) if backend.is_cuda() else 1
 
 
-def _chunks(count: int, pixels: int, begun: Sequence[int], times: int) -> list[tuple[int, list[tuple[int, int]]]]:
+def _chunks(count: int, pixels: int, of_chunk: Sequence[int], times: int) -> list[tuple[int, list[tuple[int, int]]]]:
     """How `count` paths of each of some pixels are traced: (paths a lane, [(half, paths of this call before), ...] of a
-    pixel's lanes at once, `times` the usual number).  A run of which each half has `begun` so many paths is ended
-    first, so that no lane lies in two.
+    pixel's lanes in one launch, `times` the usual number).  Each half ends the chunk first of which it has `of_chunk`
+    paths, so that no lane lies in two.
     """
     by_length: dict[int, list[tuple[int, int]]] = {}
     for half in range(HALVES):
-        own, offset = (count + 1 - half) // HALVES, 0
-        while offset < own:
-            length = min(CHUNK - (begun[half] + offset) % CHUNK, own - offset)
+        paths, offset = (count + 1 - half) // HALVES, 0
+        while offset < paths:
+            length = min(CHUNK - (of_chunk[half] + offset) % CHUNK, paths - offset)
             by_length.setdefault(length, []).append((half, offset))
             offset += length
-    found = []
+    launches = []
     for length, chunks in by_length.items():
         rows = max(1, times * (SHORT_LANES if 2 * length <= CHUNK else CHUNKED_LANES) // max(pixels, 1))
-        found += [(length, chunks[low : low + rows]) for low in range(0, len(chunks), rows)]
-    return found
+        launches += [(length, chunks[low : low + rows]) for low in range(0, len(chunks), rows)]
+    return launches
 
 
 @dataclass(frozen=True)
@@ -634,24 +638,24 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
     name, pixels, count, halves, moments = launch.name, launch.pixels, launch.count, launch.halves, launch.moments
     estimator = accumulated.estimators[name]
     low, high = (int(pixels[0]), int(pixels[-1]) + 1) if len(pixels) else (0, 0)
-    at: Any = slice(low, high) if high - low == len(pixels) else pixels  # neighbours are added up faster
+    at = slice(low, high) if high - low == len(pixels) else pixels  # neighbours are added up faster
 
-    def lanes(colour: Any, kind: Any) -> Array:
+    def lanes(colour: SampledSpectrum, kind: npt.DTypeLike) -> Pixels:
         return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
 
     light = {
         aov: lanes(colour, estimator.aovs[aov].dtype) for aov, colour in zip(estimator.aovs, moments.aovs, strict=True)
     }
-    for lane in sum(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
+    for lane in total(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
         estimator.squares[at] += lane**2 / count
     if estimator.fireflies:
-        within_limit = _within_limit(accumulated, estimator, sum(light.values()), count, pixels)
+        within_limit = _within_limit(accumulated, estimator, total(light.values()), count, pixels)
     for aov, lit in light.items():  # chunk by chunk: the order of the sum is fixed
         for number, half in enumerate(halves):
             if estimator.fireflies:
-                kept = lit[number] * within_limit[number]
-                estimator.fireflies[aov][half, at] += lit[number] - kept
-                estimator.aovs[aov][half, at] += kept
+                limited = lit[number] * within_limit[number]
+                estimator.fireflies[aov][half, at] += lit[number] - limited
+                estimator.aovs[aov][half, at] += limited
             else:
                 estimator.aovs[aov][half, at] += lit[number]
     for target, colour in zip(estimator.groups, moments.groups, strict=True):
@@ -667,7 +671,7 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
     accumulated.lost += int(np.array(moments.lost).sum())
 
 
-def _within_limit(accumulated: Accumulator, estimator: Estimator, light: Array, count: int, pixels: Indices) -> Array:
+def _within_limit(accumulated: Accumulator, estimator: Estimator, light: Pixels, count: int, pixels: Indices) -> Pixels:
     """(lanes, P, 1) share of the light of lanes (lanes, P, C), each of `count` paths, that is no firefly."""
     luminance = np.maximum(light @ np.asarray(accumulated.weights, dtype=light.dtype), 0.0)
     level = fireflies.mean_below(luminance, count)  # of these lanes alone: a dark sky says nothing of the street below

@@ -8,7 +8,7 @@ the way is integrated in closed form.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +22,13 @@ from synfog_usd.render.load import MitsubaScene, camera_fog
 from synfog_usd.render.placed import PlacedScene
 from synfog_usd.scene import Camera, prototype_of
 
+if TYPE_CHECKING:
+    from mitsuba import Shape
+
 MAX_CROSSINGS = 256
 
 RAYS = 1 << 18
-"""Rays that are followed at once."""
+"""Rays of a batch."""
 
 MAX_PIERCED = 1024
 """Surfaces that a ray goes through when all instances on its way are asked for."""
@@ -93,7 +96,7 @@ def measure(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
 
     Args:
         loaded: the scene.
-        batch: rays that are followed at once; memory goes with it, the result does not.
+        batch: rays of a batch; memory goes with it, the result does not.
         progress: told before each batch.
     """
     camera, tracer = loaded.source.camera, _Tracer(loaded)
@@ -150,10 +153,10 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
         entering = np.where(hits.front, hits.fog, parents[hits.fog])
         medium[alive[crossed]] = entering[crossed]
         stopped = ~crossed & (hits.see_through < 0.5)
-        ended = alive[stopped]
-        distance[ended] = np.linalg.norm(hits.position[stopped] - eye[ended], axis=1)
+        rays = alive[stopped]
+        distance[rays] = np.linalg.norm(hits.position[stopped] - eye[rays], axis=1)
         facing = np.where(np.sum(hits.normal * direction[alive], axis=1) > 0.0, -1.0, 1.0)
-        normal[ended], instance[ended] = (hits.normal * facing[:, None])[stopped], hits.instance_id[stopped]
+        normal[rays], instance[rays] = (hits.normal * facing[:, None])[stopped], hits.instance_id[stopped]
         alive = alive[~stopped]
 
     if fog and not loaded.boundaries:
@@ -173,7 +176,7 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
 
     Args:
         loaded: the scene.
-        batch: rays that are followed at once; memory goes with it, the result does not.
+        batch: rays of a batch; memory goes with it, the result does not.
         progress: told before each batch.
 
     Returns:
@@ -182,17 +185,17 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
     camera = loaded.source.camera
     count = camera.width_px * camera.height_px
     tracer = _Tracer(loaded)
-    found = []
+    codes = [np.zeros(0, dtype=np.int64)]
     for first in range(0, count, batch):
         progress("what stands behind", first / count)
         pixels = np.arange(first, min(first + batch, count))
         all_origins, directions = tracer.centre_rays(pixels)
         origin, began, growth = all_origins, np.zeros(len(pixels)), np.ones(len(pixels))
-        codes = [np.zeros(0, dtype=np.int64)]
+        of_batch = [np.zeros(0, dtype=np.int64)]
         for _ in range(MAX_PIERCED):
             hits = tracer.trace(origin, directions[pixels - first])
-            met = hits.valid & (hits.fog < 0) & (hits.see_through < 0.5) & (hits.instance_id > 0)
-            codes.append(hits.instance_id[met] * count + pixels[met])
+            some = hits.valid & (hits.fog < 0) & (hits.see_through < 0.5) & (hits.instance_id > 0)
+            of_batch.append(hits.instance_id[some] * count + pixels[some])
             pixels, began, growth = pixels[hits.valid], began[hits.valid], growth[hits.valid]
             hits = _rows(hits, hits.valid)
             if not pixels.size:
@@ -203,8 +206,8 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
             growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)  # a ray within a surface leaves it
             began = np.maximum(np.sum((hits.onward - eye) * direction, axis=1), at + growth * least)
             origin = eye + began[:, None] * direction  # on the ray itself
-        found.append(distinct(np.concatenate(codes)))
-    ids, pixels = np.divmod(np.sort(np.concatenate(found)), count)
+        codes.append(distinct(np.concatenate(of_batch)))
+    ids, pixels = np.divmod(np.sort(np.concatenate(codes)), count)
     return ids, pixels
 
 
@@ -222,11 +225,11 @@ def reached(loaded: MitsubaScene, camera: Camera, distance_m: Array) -> Flags:
         camera: the other one, whose near plane counts.
         distance_m: (N,) from the first one to what its pixels see, row by row from the top left; inf at the sky.
     """
-    tracer, found = _Tracer(loaded), list[Flags]()
+    tracer, free = _Tracer(loaded), list[Flags]()
     for low in range(0, len(distance_m), RAYS):
         pixels = np.arange(low, min(low + RAYS, len(distance_m)))
-        found.append(_reached(tracer, camera, tracer.centre_rays(pixels)[1], distance_m[pixels]))
-    return np.concatenate(found)
+        free.append(_reached(tracer, camera, tracer.centre_rays(pixels)[1], distance_m[pixels]))
+    return np.concatenate(free)
 
 
 def _reached(tracer: _Tracer, camera: Camera, direction: Array, distance_m: Array) -> Flags:
@@ -244,11 +247,11 @@ def _reached(tracer: _Tracer, camera: Camera, direction: Array, distance_m: Arra
         if not alive.size:
             break
         hits = tracer.trace(origin[alive], onward[alive])
-        met = hits.valid & (np.linalg.norm(hits.position - place, axis=1) < least[alive])
-        stopped = met & (hits.fog < 0) & (hits.see_through < 0.5)
+        nearer = hits.valid & (np.linalg.norm(hits.position - place, axis=1) < least[alive])
+        stopped = nearer & (hits.fog < 0) & (hits.see_through < 0.5)
         free[alive[stopped]] = False
         origin[alive] = hits.onward
-        alive = alive[met & ~stopped]
+        alive = alive[nearer & ~stopped]
     return free
 
 
@@ -309,19 +312,18 @@ class _Tracer:
             self.dr = dr
         self.first_face = np.full(size, -1, dtype=np.int64)
         lists, start = [np.zeros(0, dtype=np.int32)], 0
-        for key, faces in loaded.face_instances.items():
-            self.first_face[self.rank[self.identity(loaded.shapes[(key,)])]] = start
+        for joined, faces in loaded.face_instances.items():
+            self.first_face[self.rank[self.identity(loaded.shapes[joined,])]] = start
             lists.append(faces)
             start += len(faces)
         self.face_instances = np.concatenate(lists)
         self.label_of = loaded.tree.label_of if isinstance(loaded.tree, PlacedScene) else np.array([-1])
 
-    def identity(self, shape: Any) -> int:
+    def identity(self, shape: Shape) -> int:
         if self.scalar:
             return id(shape)
-        import drjit as dr
 
-        return int(dr.reinterpret_array(self.mi.UInt32, self.mi.ShapePtr(shape))[0])
+        return backend.index_of(self.mi.ShapePtr(shape))
 
     def centre_rays(self, pixels: Indices) -> tuple[Array, Array]:
         """(N, 3) origins and directions of pixels (N,), numbered row by row from the top left."""
@@ -346,8 +348,8 @@ class _Tracer:
         valid, position, onward, normal, front, rank, placed, face, see_through, row = rows
         code = np.where(placed > 0, placed * self.size + rank, rank)
         at = np.minimum(np.searchsorted(self.instance_keys, code), max(len(self.instance_keys) - 1, 0))
-        known = (self.instance_keys[at] == code) if len(self.instance_keys) else np.zeros(len(code), dtype=bool)
-        instance = np.where(known, self.instance_values[at] if len(self.instance_keys) else 0, 0)
+        labelled = (self.instance_keys[at] == code) if len(self.instance_keys) else np.zeros(len(code), dtype=bool)
+        instance = np.where(labelled, self.instance_values[at] if len(self.instance_keys) else 0, 0)
         joined = self.first_face[rank] >= 0
         instance[joined] = self.face_instances[self.first_face[rank[joined]] + face[joined]]
         instance = np.where(self.label_of[row] >= 0, self.label_of[row], instance)
@@ -357,14 +359,14 @@ class _Tracer:
         mi, dr = self.mi, self.dr
         ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
         tree = self.loaded.tree
-        si, row = tree.met(ray) if isinstance(tree, PlacedScene) else (tree.ray_intersect(ray), mi.UInt32(0))
+        si, row = tree.hits(ray) if isinstance(tree, PlacedScene) else (tree.ray_intersect(ray), mi.UInt32(0))
         valid = si.is_valid()
         passing = backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
-        shape, instance = dr.reinterpret_array(mi.UInt32, si.shape), dr.reinterpret_array(mi.UInt32, si.instance)
+        shape, instance = backend.indices_of(si.shape), backend.indices_of(si.instance)
         front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
         dr.eval(
             valid, passing, shape, instance, front, vectors, si.prim_index, row
-        )  # all at once: else each would trace the rays again
+        )  # together: else each would trace the rays again
         rank, placed = self.lookup[np.array(shape)], self.lookup[np.array(instance)]
         face = np.array(si.prim_index, dtype=np.int64)
         return (
@@ -379,13 +381,13 @@ class _Tracer:
         )
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
-        mi, rows = self.mi, []
+        mi, rows = self.mi, list[tuple[Any, ...]]()
         for o, d in zip(origin, direction, strict=True):
             si = self.loaded.tree.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
             if not si.is_valid():
                 rows.append((False, o, o, d, False, 0, 0, 0, 0.0, 0))
                 continue
-            passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, True))))
+            passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, mi.Bool(True)))))
             rank, placed = (
                 self.rank.get(id(si.shape), 0),
                 self.rank.get(id(si.instance), 0) if si.instance is not None else 0,
@@ -401,7 +403,7 @@ class _Tracer:
                     facing,
                     rank,
                     placed,
-                    int(si.prim_index),
+                    si.prim_index,
                     passing,
                     0,
                 )

@@ -2,7 +2,7 @@
 
 A path that meets a surface beside a lamp is rare and very bright: at the crossing at dusk one in ten thousand carries
 6 % of the light of its estimator and nine tenths of its variance.  What fog scatters to the eye is smooth, so their
-light may come from further around: what a lane of paths brings beyond a limit is kept apart, and spread over its
+light may come from further around.  Here light of a lane of paths beyond a limit is kept apart.  It is spread over its
 surroundings in the shape that the other light of the lamps has in the fog there.  None is lost.  The limit grows with
 the number of paths, and with it the bias vanishes.  Reference images are made without.
 
@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Pixels as Array
 from synfog_usd.render.dualbuffer import binned, spread
 
 TIMES = 20.0

@@ -6,12 +6,16 @@ picture share their kernels.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
 from synfog_usd.render import backend
 from synfog_usd.scene import Camera
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import UInt32
+    from mitsuba import Point2f
 
 
 class Raster:
@@ -28,7 +32,7 @@ class Raster:
         self.size = mi.Point2f(mi.Float(self.width), mi.Float(self.height))
         dr.make_opaque(self.size)
 
-    def corner(self, pixel: Any) -> Any:
+    def corner(self, pixel: UInt32) -> Point2f:
         """(u, v) of the top left corners of pixels, numbered row by row from the top left, in pixels."""
         mi = backend.mitsuba()
         return mi.Point2f(mi.Float(pixel % self.width), mi.Float(pixel // self.width))

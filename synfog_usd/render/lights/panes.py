@@ -16,7 +16,6 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.placed import number_of
 
 MOST_PASSED = 8
 """Panes that a shadow ray passes, both sides of a car's windows and more; behind so many it is dark."""
@@ -45,7 +44,7 @@ class Panes:
             part = world[key[0]] if len(key) == 1 else world[key[0]][key[1]]
             share = _share(world, part.get("bsdf"))
             if share and "emitter" not in part:  # what shines is met for its light
-                through[number_of(shape, backend.mitsuba())] = share
+                through[backend.index_of(backend.mitsuba().ShapePtr(shape))] = share
         if not through:
             return None
         table = np.zeros(max(through) + 1, dtype=np.float32)

@@ -8,14 +8,18 @@ over the fog around it, on the stretch that it covers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
 from synfog_usd.render.media.phases import kernel_phase
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import Point3f, Vector3f
 
 BISECTIONS = 30
 """Halvings of a stretch until its optical depth fits: 1 km to a micrometre, below what float32 holds."""
@@ -45,7 +49,6 @@ class Medium:
     """
 
     def __init__(self, volumes: Sequence[FogVolume], scale: float = 1.0) -> None:
-        mi = backend.mitsuba()
         self.volumes = [volume for volume in volumes if volume.medium.sigma_t_per_m > 0.0 or volume.parent is not None]
         self.foggy = any(volume.medium.sigma_t_per_m > 0.0 for volume in self.volumes)
         index = {id(volume): place for place, volume in enumerate(self.volumes)}
@@ -57,20 +60,19 @@ class Medium:
         if self.foggy:
             self.phase = kernel_phase(self.volumes[0].medium.phase_function)
             self.one_albedo = len({volume.medium.albedo for volume in self.volumes}) == 1
-            self.far_away = mi.Float(1e9)
 
-    def intersect(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+    def intersect(self, origin: Point3f, direction: Vector3f) -> tuple[Float, Float]:
         """Where a ray is in fog at all, from the first entry to the last exit [m]; equal where it misses."""
         near, far = self.media[0].intersect(origin, direction)
         for medium in self.media[1:]:
-            other_near, other_far = medium.intersect(origin, direction)
-            other = other_far > other_near
+            enters, leaves = medium.intersect(origin, direction)
+            crosses = leaves > enters
             none = far <= near
-            near = dr.select(other, dr.select(none, other_near, dr.minimum(near, other_near)), near)
-            far = dr.select(other, dr.maximum(far, other_far), far)
+            near = dr.select(crosses, dr.select(none, enters, dr.minimum(near, enters)), near)
+            far = dr.select(crosses, dr.maximum(far, leaves), far)
         return near, dr.maximum(far, near)
 
-    def optical_depth(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
+    def optical_depth(self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float) -> Float:
         """Optical depth between two distances [m] on a ray of unit direction."""
         total = backend.mitsuba().Float(0.0)
         for medium, parent in zip(self.media, self.parents, strict=True):
@@ -82,18 +84,20 @@ class Medium:
                 total -= parent.optical_depth(origin, direction, near, far)
         return dr.maximum(total, 0.0)
 
-    def optical_depth_inside(self, origin: Any, direction: Any, begin: Any, end: Any) -> Any:
+    def optical_depth_inside(self, origin: Point3f, direction: Vector3f, begin: Float, end: Float) -> Float:
         """The same for a stretch that is known to be in fog all along: one uniform fog needs no look for its edge."""
         return (
             self.media[0].sigma_t * (end - begin) if self.single else self.optical_depth(origin, direction, begin, end)
         )
 
-    def sample_distance(self, origin: Any, direction: Any, optical_depth: Any, near: Any, far: Any) -> Any:
+    def sample_distance(
+        self, origin: Point3f, direction: Vector3f, optical_depth: Float, near: Float, far: Float
+    ) -> Float:
         """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`."""
         if self.single:
             return dr.minimum(near + optical_depth / self.media[0].sigma_t, far)
 
-        def halved(step: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+        def halved(step: UInt32 | int, low: Float, high: Float) -> tuple[UInt32 | int, Float, Float]:
             middle = 0.5 * (low + high)
             short = self.optical_depth(origin, direction, near, middle) < optical_depth
             return step + 1, dr.select(short, middle, low), dr.select(short, high, middle)
@@ -107,7 +111,7 @@ class Medium:
         _, low, high = state
         return dr.select(self.optical_depth(origin, direction, near, far) > optical_depth, 0.5 * (low + high), far)
 
-    def scattering(self, place: Any) -> Any:
+    def scattering(self, place: Point3f) -> Float:
         """Scattering coefficient [1/m] at points in fog."""
         if self.single:
             return self.media[0].sigma_t * self.media[0].albedo
@@ -115,19 +119,19 @@ class Medium:
             place, lambda medium: medium.extinction(place) * medium.albedo, backend.mitsuba().Float(0.0)
         )
 
-    def extinction(self, place: Any) -> Any:
+    def extinction(self, place: Point3f) -> Float:
         """Extinction [1/m] at points in fog."""
         if self.single:
             return self.media[0].sigma_t
         return self._innermost(place, lambda medium: medium.extinction(place), backend.mitsuba().Float(0.0))
 
-    def albedo(self, place: Any) -> Any:
+    def albedo(self, place: Point3f) -> Float:
         """Single-scattering albedo at points in fog."""
         if self.one_albedo:
             return self.media[0].albedo
         return self._innermost(place, lambda medium: medium.albedo, self.media[0].albedo)
 
-    def _innermost(self, place: Any, value: Any, outside: Any) -> Any:
+    def _innermost(self, place: Point3f, value: Callable[[_Volume], Float], outside: Float) -> Float:
         result = outside
         for at in self.order:
             medium = self.media[at]
@@ -160,13 +164,13 @@ class _Volume:
                 dr.opaque(mi.Float, medium.scale_height_m),
             )
 
-    def contains(self, place: Any) -> Any:
+    def contains(self, place: Point3f) -> Bool:
         """Whether points are inside."""
         mi = backend.mitsuba()
         local = mi.Vector3f(self.to_local @ mi.Point3f(place))
         return dr.squared_norm(local) <= 1.0 if self.ball else dr.max(dr.abs(local)) <= 1.0
 
-    def intersect(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+    def intersect(self, origin: Point3f, direction: Vector3f) -> tuple[Float, Float]:
         """Where a ray enters and leaves, as distances >= 0; equal where it misses."""
         mi = backend.mitsuba()
         o, d = self.to_local @ mi.Point3f(origin), self.to_local @ mi.Vector3f(direction)
@@ -176,17 +180,17 @@ class _Volume:
             near, far = (-b - root) / a, (-b + root) / a
         else:
             safe = mi.Vector3f([dr.select(dr.abs(x) < 1e-12, dr.copysign(mi.Float(1e-12), x), x) for x in d])
-            one, other = (-1.0 - mi.Vector3f(o)) / safe, (1.0 - mi.Vector3f(o)) / safe
-            near, far = dr.max(dr.minimum(one, other)), dr.min(dr.maximum(one, other))
+            low, high = (-1.0 - mi.Vector3f(o)) / safe, (1.0 - mi.Vector3f(o)) / safe
+            near, far = dr.max(dr.minimum(low, high)), dr.min(dr.maximum(low, high))
         near = dr.maximum(near, 0.0)
         return near, dr.maximum(far, near)
 
-    def extinction(self, place: Any) -> Any:
+    def extinction(self, place: Point3f) -> Float:
         if not self.exponential:
             return self.sigma_t
         return self.sigma_t * dr.exp(-dr.maximum(place.z - self.base, 0.0) / self.scale)
 
-    def optical_depth(self, origin: Any, direction: Any, near: Any, far: Any) -> Any:
+    def optical_depth(self, origin: Point3f, direction: Vector3f, near: Float, far: Float) -> Float:
         """Optical depth of this medium between two distances, wherever its boundary is."""
         length = far - near
         if not self.exponential:
@@ -196,7 +200,7 @@ class _Volume:
         return self.sigma_t * length * _mean_density(low, climb)
 
 
-def _mean_density(low: Any, climb: Any) -> Any:
+def _mean_density(low: Float, climb: Float) -> Float:
     """Mean of exp(-max(h, 0)) between h = low and low + climb."""
     below = dr.minimum(low, 0.0), dr.minimum(low + climb, 0.0)
     above = dr.maximum(low, 0.0)
@@ -211,12 +215,12 @@ def _mean_density(low: Any, climb: Any) -> Any:
     return dr.select(dr.abs(climb) < 1e-7, flat, covered + (1.0 - covered) * high_part)
 
 
-def _expm1(x: Any) -> Any:
+def _expm1(x: Float) -> Float:
     """exp(x) - 1 where cancellation matters little (|x| >= 1e-3, 1e-4 relative in float32)."""
     return dr.exp(x) - 1.0
 
 
-def transmittance(optical_depth: Any) -> Any:
+def transmittance(optical_depth: Float) -> tuple[Float, Float]:
     """exp(-tau), and 1 - exp(-tau) without cancellation for thin fog."""
     tau = optical_depth
     return dr.exp(-tau), dr.select(tau < 1e-2, tau * (1.0 - tau * (0.5 - tau / 6.0)), 1.0 - dr.exp(-tau))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Pixels
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import Error, mottle
 from synfog_usd.render.film.accumulator import (
@@ -20,13 +20,13 @@ from synfog_usd.render.film.accumulator import (
     HALVES,
     Accumulator,
     Integrator,
+    Traces,
     accumulate_by_estimator,
     add_samples,
     allocation,
     new_accumulator,
     rounds,
 )
-from synfog_usd.render.integrators.path import FogPath
 
 DENOISER_GAIN = 10.0
 """Raw noise over the target from which on denoising is not even tried; it lowers noise 3 to 7 times."""
@@ -65,7 +65,7 @@ class Target:
     """
 
     relative: float | None = None
-    sigma: Callable[[Array], Array] | None = None
+    sigma: Callable[[Pixels], Pixels] | None = None
     samples: int = 64
     mottle: float | None = None
 
@@ -74,7 +74,7 @@ class Target:
         """Whether the number of samples is the only thing that counts."""
         return self.relative is None and self.sigma is None and self.mottle is None
 
-    def allowed(self, luminance: Array) -> Array:
+    def allowed(self, luminance: Pixels) -> Pixels:
         """Standard error [cd m-2] that is good enough for each pixel."""
         level = np.maximum(luminance, 0.01 * max(float(luminance.mean()), 1e-30))
         limits = np.full(level.shape, np.inf)
@@ -84,26 +84,26 @@ class Target:
             limits = np.minimum(limits, self.sigma(level))
         return limits
 
-    def allowed_in_all(self, luminance: Array) -> Array:
+    def allowed_in_all(self, luminance: Pixels) -> Pixels:
         """RMS error [cd m-2], bias and all, that is good enough for each pixel of a denoised picture: the relative one,
         or all of the sensor's noise.
         """
         return self.allowed(luminance) / (SENSOR_SHARE if self.sigma is not None else 1.0)
 
-    def excess(self, luminance: Array, error: Error) -> float:
+    def excess(self, luminance: Pixels, error: Error) -> float:
         """Error of a denoised picture's median pixel over what is allowed, 1 where it is just good enough: of its whole
         error, or, for a sensor, of what differs from seed to seed where that is more.
         """
         whole = float(np.median(error.rms / self.allowed_in_all(luminance)))
         return whole if self.sigma is None else max(whole, float(np.median(error.scatter / self.allowed(luminance))))
 
-    def times_needed(self, luminance: Array, error: Error) -> float:
+    def times_needed(self, luminance: Pixels, error: Error) -> float:
         """How many times its samples a denoised picture needs, about; 1 or less where it is good enough."""
         whole = 1.0 if self.relative is None and self.sigma is None else times_needed(self.excess(luminance, error))
         return whole if self.mottle is None else max(whole, (error.mottle / self.mottle) ** 2)
 
 
-def sensor_target(noise: Callable[[Array], Array]) -> Callable[[Array], Array]:
+def sensor_target(noise: Callable[[Pixels], Pixels]) -> Callable[[Pixels], Pixels]:
     """Luminance -> the part of the sensor's noise that a render may add [cd m-2].
 
     Args:
@@ -121,9 +121,9 @@ def accumulate_to_target(
     moments when it happens to look small, and those are the dark ones.
 
     Args:
-        integrator: a `FogPath`; others are sampled evenly, to `target.samples`, whatever the target.
+        integrator: one that `Traces`; others are sampled evenly, to `target.samples`, whatever the target.
     """
-    if not isinstance(integrator, FogPath) or target.open:
+    if not isinstance(integrator, Traces) or target.open:
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
     camera = integrator.loaded.source.camera
     pixels = camera.width_px * camera.height_px
@@ -158,7 +158,7 @@ def accumulate_denoised(
     *,
     target: Target,
     seed: int,
-    denoised: Callable[[Accumulator], tuple[Array, Error] | None],
+    denoised: Callable[[Accumulator], tuple[Pixels, Error] | None],
     progress: Progress = silent,
 ) -> Accumulator:
     """Sample all pixels alike, until the denoised picture meets the target or the samples are used up.
@@ -167,7 +167,7 @@ def accumulate_denoised(
         integrator: as `accumulate_to_target` takes it.
         denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
     """
-    if not isinstance(integrator, FogPath):
+    if not isinstance(integrator, Traces):
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
     if target.open:
         return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
@@ -211,12 +211,12 @@ def times_needed(excess: float) -> float:
     return excess ** (1.0 / FALL) if excess > 1.0 else 1.0
 
 
-def reached(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> float:
+def reached(luminance: Pixels, variance: Pixels, target: Target, shape: tuple[int, int]) -> float:
     """Share of the pixels (P,) whose standard error is under the target."""
     return float((_needed(luminance, variance, target, shape) <= 1.0).mean())
 
 
-def _needed(luminance: Array, variance: Array, target: Target, shape: tuple[int, int]) -> Array:
+def _needed(luminance: Pixels, variance: Pixels, target: Target, shape: tuple[int, int]) -> Pixels:
     """How many times the samples it has each pixel needs."""
     from scipy import ndimage
 

@@ -7,11 +7,17 @@ reservoir: Chao (1982).
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
 from synfog_usd.render import backend
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float
+    from mitsuba import Color3f, Point3f
+
+    from synfog_usd.render.sampling.sobol import Sobol
 
 
 class Reservoir:
@@ -23,7 +29,7 @@ class Reservoir:
         value: what is estimated, of the candidate that is kept.
         group: its light group.
         target: its target; 0 while nothing is kept.
-        pdf: what was told of it, 0 where nothing is.
+        pdf: that `update` got with it; 0 while nothing is kept.
         sum: of the weights of all candidates so far.
     """
 
@@ -45,30 +51,30 @@ class Reservoir:
 
     def update(
         self,
-        place: Any,
-        lamp: Any,
-        value: Any,
-        group: Any,
-        target: Any,
-        density: Any,
-        sampler: Any,
-        active: Any,
-        pdf: Any = 0.0,
+        place: Point3f,
+        lamp: Point3f,
+        value: Color3f,
+        group: Float,
+        target: Float,
+        density: Float,
+        sampler: Sobol,
+        active: Bool,
+        pdf: Float | float = 0.0,
     ) -> Reservoir:
         """The reservoir after one more candidate, which was drawn with `density`; `pdf` is kept beside it."""
         weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
         after = Reservoir()
         after.sum = self.sum + weight
-        taken = sampler.next_1d(active) * after.sum < weight
+        replaces = sampler.next_1d(active) * after.sum < weight
         after.place, after.lamp, after.value = (
-            dr.select(taken, place, self.place),
-            dr.select(taken, lamp, self.lamp),
-            dr.select(taken, value, self.value),
+            dr.select(replaces, place, self.place),
+            dr.select(replaces, lamp, self.lamp),
+            dr.select(replaces, value, self.value),
         )
-        after.target, after.group = dr.select(taken, target, self.target), dr.select(taken, group, self.group)
-        after.pdf = dr.select(taken, pdf, self.pdf)
+        after.target, after.group = dr.select(replaces, target, self.target), dr.select(replaces, group, self.group)
+        after.pdf = dr.select(replaces, pdf, self.pdf)
         return after
 
-    def estimate(self) -> Any:
+    def estimate(self) -> Color3f:
         """Unbiased estimate of the sum of all candidates' values: value x sum of the weights / target."""
         return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)

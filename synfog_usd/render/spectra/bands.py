@@ -1,9 +1,9 @@
 """What a path carries: three colours, or the light in each of several wavelength bands.
 
 Mitsuba's RGB variants know every light and surface by three numbers.  A band's share
-of them follows from spectra: lights get those of `photometry.channel_spectra`, surfaces
-the same basis without the illuminant (Mallett and Yuksel 2019), so that white stays
-white and what D65 shows of a surface is its colour.  Fog may thin with wavelength: then
+of them follows from spectra.  Lights get those of `photometry.channel_spectra`.  Surfaces
+get the same basis without the illuminant (Mallett and Yuksel 2019).  So white stays
+white, and D65 shows a surface in its own colour.  Fog may thin with wavelength: then
 paths are drawn in the clearest band, and the others weigh them by what is left.
 
 Where a lamp or a material has a spectrum of its own, that is what counts: see `Bands.light` and `spectra.bsdfs`.
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import drjit as dr
 import numpy as np
@@ -28,6 +28,13 @@ from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
 
+if TYPE_CHECKING:
+    from drjit.auto.ad import ArrayXf, Bool, Float, UInt32
+    from mitsuba import BSDFPtr, Color3f, Spectrum
+
+    SampledSpectrum: TypeAlias = ArrayXf
+    """Light, or what a path leaves of it, in all of its bands; R, G and B are a `Color3f`."""
+
 CENTRES_NM: dict[int, tuple[float, ...]] = {
     8: tuple(410.0 + 40.0 * index for index in range(8)),
     16: tuple(400.0 + 20.0 * index for index in range(16)),
@@ -40,7 +47,10 @@ white's.
 
 @lru_cache(maxsize=8)
 def matrices(count: int) -> tuple[Array, Array]:
-    """(light (3, N) W m-2 sr-1 nm-1 per cd m-2 of R, G, B; reflectance (3, N) [1], columns of which add up to 1)."""
+    """How R, G and B become N bands: light in W m-2 sr-1 nm-1 per cd m-2, and reflectance; (3, N) each.
+
+    The columns of the second add up to 1.
+    """
     spectra = photometry.channel_spectra(("R", "G", "B"))
     boxes = photometry.channel_spectra(names(count))
     light = box_means(spectra, boxes)
@@ -60,7 +70,7 @@ def names(count: int) -> tuple[str, ...]:
 def to_rgb(pixels: Array, count: int) -> Array:
     """(..., 3) linear Rec.709 in cd m-2 of what an eye sees of (..., N) bands.
 
-    The CIE 1931 observer's integral over the bands, then IEC 61966-2-1's matrix.
+    The CIE observer's integral over the bands, then the matrix of sRGB (IEC 61966-2-1).
     """
     if count == RGB:
         return pixels
@@ -122,16 +132,16 @@ class Bands:
             self.ratio = extinction / self.clearest
             self._more = [dr.opaque(mi.Float, value) for value in self.ratio - 1.0]
 
-    def black(self) -> Any:
+    def black(self) -> SampledSpectrum:
         """No light."""
         mi = backend.mitsuba()
         return mi.Color3f(0.0) if self.is_rgb else self._array([mi.Float(0.0)] * self.count)
 
-    def of(self, parts: Sequence[Any]) -> Any:
+    def of(self, parts: Sequence[Float]) -> SampledSpectrum:
         """Light, of its numbers in all bands."""
         return backend.mitsuba().Color3f(*parts) if self.is_rgb else self._array(list(parts))
 
-    def even(self, value: Any) -> Any:
+    def even(self, value: Color3f) -> SampledSpectrum:
         """A throughput that is the same in all bands."""
         mi = backend.mitsuba()
         return mi.Color3f(value) if self.is_rgb else self._array([mi.Float(value[0])] * self.count)
@@ -139,44 +149,46 @@ class Bands:
     def assign_spectral_bsdfs(self, loaded: MitsubaScene) -> None:
         """Give the materials of a scene the spectra that they have."""
         if not self.is_rgb and loaded.source.reflectance_of:
-            made = SpectralBsdfs(loaded, self.reflectance_of, photometry.channel_spectra(self.names))
-            self.spectral_bsdfs = made if made.count else None
+            bsdfs = SpectralBsdfs(loaded, self.reflectance_of, photometry.channel_spectra(self.names))
+            self.spectral_bsdfs = bsdfs if bsdfs.count else None
 
-    def light(self, colour: Any, kind: Any = None) -> Any:
+    def light(self, colour: Color3f | Spectrum, kind: UInt32 | None = None) -> SampledSpectrum:
         """Radiance or intensity in R, G, B [cd m-2, cd] in all bands; of a kind above 0 its luminance counts."""
         if self.is_rgb:
-            return colour
+            return cast("SampledSpectrum", colour)
         mixed = self._mixed(colour, self.light_of)
-        if self.kinds == 1:
+        if kind is None:
             return mixed
-        r, g, b = LUMINANCE.tolist()
-        luminance = colour[0] * r + colour[1] * g + colour[2] * b
+        r, g, b = colour
+        of_r, of_g, of_b = LUMINANCE.tolist()
+        luminance = r * of_r + g * of_g + b * of_b
         return dr.select(kind > 0, self.gather(self._lit, kind, kind > 0) * luminance, mixed)
 
-    def surface(self, bsdf: Any, active: Any) -> tuple[Any, Any]:
+    def surface(self, bsdf: BSDFPtr, active: Bool) -> tuple[BSDFPtr, Sequence[Float] | None]:
         """The BSDF to ask, and how `reflectance` reads what it answers."""
         return (bsdf, None) if self.spectral_bsdfs is None else self.spectral_bsdfs.of(bsdf, active)
 
-    def reflectance(self, colour: Any, reading: Any = None) -> Any:
+    def reflectance(self, colour: Color3f | Spectrum, reading: Sequence[Float] | None = None) -> SampledSpectrum:
         """What a surface leaves of R, G and B, or of what else `reading` says it tells, in all bands."""
         if self.is_rgb:
-            return colour
+            return cast("SampledSpectrum", colour)
         if reading is None:
             return self._mixed(colour, self.reflectance_of)
-        first, second, rest = colour[0] - colour[2], colour[1] - colour[2], colour[2]
+        r, g, rest = colour
+        first, second = r - rest, g - rest
         return self._array(
             [rest + first * a + second * b for a, b in zip(reading[: self.count], reading[self.count :], strict=True)]
         )
 
-    def fade(self, optical_depth: Any) -> Any:
+    def fade(self, optical_depth: Float) -> SampledSpectrum:
         """What each band loses over an optical depth beyond the clearest band's exp(-tau)."""
         return self._array([dr.exp(-more * optical_depth) for more in self._more])
 
-    def scattered(self) -> Any:
+    def scattered(self) -> SampledSpectrum:
         """Extinction of each band over that of the clearest."""
         return self._array([more + 1.0 for more in self._more])
 
-    def gather(self, table: Any, index: Any, active: Any) -> Any:
+    def gather(self, table: Float, index: UInt32, active: Bool) -> SampledSpectrum:
         """A row of a table with a column for each band."""
         mi = backend.mitsuba()
         if self.is_rgb:
@@ -185,8 +197,9 @@ class Bands:
             [dr.gather(mi.Float, table, index * self.count + band, active) for band in range(self.count)]
         )
 
-    def _mixed(self, colour: Any, matrix: Array) -> Any:
-        return self._array([colour[0] * float(r) + colour[1] * float(g) + colour[2] * float(b) for r, g, b in matrix.T])
+    def _mixed(self, colour: Color3f | Spectrum, matrix: Array) -> SampledSpectrum:
+        r, g, b = colour
+        return self._array([r * float(of_r) + g * float(of_g) + b * float(of_b) for of_r, of_g, of_b in matrix.T])
 
-    def _array(self, values: list[Any]) -> Any:
+    def _array(self, values: Sequence[Float]) -> SampledSpectrum:
         return self.type(values)

@@ -9,17 +9,17 @@ The basis of a material is
     1. its own spectrum, scaled to HEIGHT;
     2. what that lacks of white (reflectance 1) in the long waves;
     3. what it lacks in the short waves.
-The three add up to 1.  So a texel of the material's mean colour shows its own spectrum, other texels are made up from
-all three, gloss stays white, and no band reflects more than it gets.
+The three add up to 1.  So a texel of the material's mean colour shows its own spectrum.  Others are mixtures of all
+three.  Gloss stays white, and no band reflects more than it gets.
 
-Why three channels suffice: each BSDF of ours is A + B c in every channel c of its base colour, A the gloss and B the
-matte part, and how it is sampled does not depend on c.  Paths in R, G and B never use these BSDFs.
+Why three channels suffice: in every channel c of its base colour a BSDF of ours is A + B c, with A the gloss and B the
+matte part.  How it is sampled does not depend on c.  Paths in R, G and B never use these BSDFs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 import numpy as np
@@ -31,6 +31,10 @@ from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, make_bsdf
 from synfog_usd.scene import base_colour, mean_colour, recoloured, texels
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float
+    from mitsuba import BSDFPtr
 
 LONG_NM, LONG_WIDTH_NM = 580.0, 20.0
 """Where what the own spectrum lacks of white is cut in two, and how softly."""
@@ -50,8 +54,8 @@ def basis(curve: Array, rgb: npt.ArrayLike, height: float = HEIGHT) -> Array:
         rgb: its mean colour, linear Rec.709, as bright as it is under D65.
         height: top of the first one.
     """
-    own = spectra.scaled(curve, rgb)
-    first = own * (height / max(float(own.max()), 1e-12))
+    scaled = spectra.scaled(curve, rgb)
+    first = scaled * (height / max(float(scaled.max()), 1e-12))
     long = 1.0 / (1.0 + np.exp(-(photometry.WAVELENGTHS_NM - LONG_NM) / LONG_WIDTH_NM))
     return np.stack([first, (1.0 - first) * long, (1.0 - first) * (1.0 - long)])
 
@@ -67,10 +71,10 @@ def basis_weights(pixels: FloatArray, curve: Array, rgb: npt.ArrayLike) -> Float
         curve, rgb: as `basis` takes them.
     """
     parts, mean = basis(curve, rgb), np.maximum(np.asarray(rgb, dtype=np.float64), 1e-6)
-    own = spectra.scaled(curve, rgb)
-    level = float(own.max()) / HEIGHT
+    scaled = spectra.scaled(curve, rgb)
+    level = float(scaled.max()) / HEIGHT
     shown = spectra.rgb_of(parts).T  # (3, 3): its columns are what D65 shows of each
-    target = (spectra.rgb_of(own) / mean)[:, None]
+    target = (spectra.rgb_of(scaled) / mean)[:, None]
     to_shares = np.linalg.inv(shown) @ (target * np.eye(3))
     weights = LUMINANCE
     along = np.outer([level, 0.0, 0.0], weights / float(weights @ mean))  # what a texel of the mean's hue has
@@ -122,24 +126,25 @@ class SpectralBsdfs:
             mean, height = mean_colour(colour), 1.0 if colour["type"] == "rgb" else HEIGHT
             if key not in loaded.spectral_bsdfs:
                 loaded.spectral_bsdfs[key] = make_bsdf(recoloured(world[key], _carried(colour, curve, mean)))
-            pairs.append((_index(loaded.parts[key]), _index(loaded.spectral_bsdfs[key])))
+            bsdfs = loaded.parts[key], loaded.spectral_bsdfs[key]
+            pairs.append(tuple(backend.index_of(mi.BSDFPtr(bsdf)) for bsdf in bsdfs))
             table.append((basis(curve, mean, height) @ boxes.T / width)[:2])
         self.bands = boxes.shape[0]
         self.size = max(index for index, _ in pairs) + 1
         row, spectral = np.zeros(self.size, dtype=np.uint32), np.arange(self.size, dtype=np.uint32)
-        for number, (index, other) in enumerate(pairs):
-            row[index], spectral[index] = number + 1, other
+        for number, (index, in_bands) in enumerate(pairs):
+            row[index], spectral[index] = number + 1, in_bands
         self.row, self.spectral = mi.UInt32(row), mi.UInt32(spectral)
         self.table = backend.floats(np.concatenate(table).ravel())
         dr.make_opaque(self.row, self.spectral, self.table)
 
-    def of(self, bsdf: Any, active: Any) -> tuple[Any, list[Any]]:
+    def of(self, bsdf: BSDFPtr, active: Bool) -> tuple[BSDFPtr, list[Float]]:
         """What to ask instead of a BSDF, and two numbers a band with which `Bands.reflectance` reads the answer."""
         mi = backend.mitsuba()
-        index: Any = dr.reinterpret_array(mi.UInt32, bsdf)
+        index = backend.indices_of(bsdf)
         row = dr.gather(mi.UInt32, self.row, index, active & (index < self.size))
         spectral = dr.select(row > 0, dr.gather(mi.UInt32, self.spectral, index, row > 0), index)
-        return dr.reinterpret_array(mi.BSDFPtr, spectral), [
+        return cast("BSDFPtr", dr.reinterpret_array(mi.BSDFPtr, spectral)), [
             dr.gather(mi.Float, self.table, row * (2 * self.bands) + k, active) for k in range(2 * self.bands)
         ]
 
@@ -149,10 +154,3 @@ def _carried(colour: Mapping[str, Any], curve: Array, mean: tuple[float, float, 
     if colour["type"] == "rgb":
         return {"type": "rgb", "value": [float(spectra.scaled(curve, mean).max()), 0.0, 0.0]}
     return {**colour, "bitmap": basis_weights(texels(colour), curve, mean), "raw": True}
-
-
-def _index(bsdf: Any) -> int:
-    """The number by which kernels know a BSDF."""
-    mi = backend.mitsuba()
-    kept: Any = dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))
-    return int(kept[0])
