@@ -60,6 +60,6 @@ def test_what_is_kept_apart_and_what_is_left_are_all_light_of_the_samples():
     assert sum(light.sum() for light in sums.fireflies.values()) > 0.0
     np.testing.assert_allclose(apart.aov(MULTIPLE), whole.aov(MULTIPLE), rtol=1e-4, atol=1e-6)
     halves = apart.halves(MULTIPLE)
-    assert halves.shape == (HALVES, len(pixels), 3)
+    assert halves.shape == (HALVES, *SHAPE, 3)
     assert halves.mean() == pytest.approx(float(whole.halves(MULTIPLE).mean()), rel=0.02)
     assert halves.max() < whole.halves(MULTIPLE).max()
