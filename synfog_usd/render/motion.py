@@ -29,7 +29,7 @@ def moved(ray: Ray3f, camera: Camera, down: Float, u: Float) -> Ray3f:
     mi = backend.mitsuba()
     if camera.global_reset:
         begin, end = (dr.opaque(mi.Float, moment) for moment in camera.during)
-        opens, closes = camera.exposed(down)
+        opens, closes = camera.exposed(mi.Float(down))
         begin, end = dr.maximum(begin, opens), dr.minimum(end, closes)
         since = begin + u * dr.maximum(end - begin, 0.0) - 0.5
     elif camera.during == camera.exposes == (0.0, 1.0):
