@@ -5,8 +5,6 @@ import pytest
 from support import stats
 from support.memory import at_peak
 
-from synfog_usd.base import system
-
 
 @pytest.fixture
 def failed(tmp_path, monkeypatch):
@@ -54,10 +52,7 @@ def test_cells_that_hardly_anything_falls_into_count_as_one():
 
 
 def test_memory_that_was_let_go_again_is_seen_at_its_peak():
-    """256 MiB, then 64, and less than 16 where none are taken, although the process had more before and keeps it, as a
-    camera's graph has it do.
-    """
-    system.keep_memory()
+    """256 MiB, then 64, and less than 16 where none are taken, although the process had more before."""
     held = [bytes(range(1, 9)) * (20 << 17) for _ in range(6)]
     del held
     for taken_mib, least, most in ((256, 200, 400), (64, 60, 80), (0, -1, 16)):

@@ -8,12 +8,13 @@ import sys
 import numpy as np
 import pytest
 
+from docs.studies import spectra_tables
 from synfog_usd.base import tables
 
 
 def test_the_files_hold_what_colour_science_has():
-    """Made again by `python -m synfog_usd.base.tables`."""
-    for name, columns in tables.from_colour_science().items():
+    """Made again by `python -m docs.studies.spectra_tables`."""
+    for name, columns in spectra_tables.from_colour_science().items():
         kept = tables.table(name)
         assert list(kept) == list(columns)
         for key, values in columns.items():
@@ -22,7 +23,7 @@ def test_the_files_hold_what_colour_science_has():
 
 @pytest.mark.parametrize("module", ["colour", "matplotlib", "scipy.interpolate", "scipy.optimize", "tifffile"])
 def test_metering_needs_no_heavy_library(module):
-    """What a run whose nodes are all kept does: load the graph and meter, in a fresh interpreter."""
+    """Loading a graph and metering, in a fresh interpreter."""
     code = (
         "import sys; import numpy as np; from pathlib import Path; from synfog_usd import camera; from "
         "synfog_usd.base.image import Image, Quantity; "

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import functools
 import os
 import signal
 import sys
@@ -27,8 +26,6 @@ LOCK = ".synfog-lock"
 FAR_BYTE = 1 << 30
 
 PR_SET_PDEATHSIG = 1
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Options of glibc's mallopt (malloc.h)."""
 
 SYNCHRONIZE, INFINITE = 0x00100000, 0xFFFFFFFF
 """Rights to wait for a process, and how long (Windows, winnt.h and winbase.h)."""
@@ -260,19 +257,6 @@ def as_urgent_as_before() -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, kind, urgency)
-
-
-@functools.cache
-def keep_memory() -> None:
-    """Where the C library is glibc, keep up to 128 MiB of what is freed, and blocks of up to 32 MiB in it, for what is
-    asked for next.
-
-    glibc comes to half of that by itself (mallopt(3), M_MMAP_THRESHOLD), slowly, and until then gives each picture
-    back and has the next one's pages zeroed: a tenth of a camera's time.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name
-        for option, size in (M_TRIM_THRESHOLD, 128 << 20), (M_MMAP_THRESHOLD, 32 << 20):
-            ctypes.CDLL(None).mallopt(option, size)
 
 
 def give_back() -> None:

@@ -10,7 +10,6 @@ from typing import Any
 from synfog_usd.base import resources
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.seeds import seed32
 from synfog_usd.camera import aberrations as aberration  # noqa: F401
 from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor, specimen  # noqa: F401  (their ops register themselves)
@@ -86,7 +85,6 @@ def develop(
     overrides: Mapping[str, Any] | None = None,
     until: str | None = None,
     keep: Sequence[str] | None = None,
-    progress: Progress = silent,
 ) -> GraphRun:
     """Run a graph, metering first where it leaves the exposure to the camera.
 
@@ -99,7 +97,7 @@ def develop(
         seed: of all random streams; each specimen of a rig has its own, by the `specimen` that an image's provenance
             tells.
         exposure: from `meter`; metered on the radiance given here unless said.
-        overrides, until, keep, progress: see `NodeGraph.run`.
+        overrides, until, keep: see `NodeGraph.run`.
 
     Raises:
         GraphError: see `NodeGraph.run` and `meter`.
@@ -119,7 +117,6 @@ def develop(
         settings=exposure.settings if exposure else None,
         until=until,
         keep=keep,
-        progress=progress,
     )
 
 

@@ -142,12 +142,10 @@ class EmptySlab:
     Attributes:
         scene: what is rendered.
         truth: (H, W) the plane-parallel solution, averaged over each pixel.
-        zenith_deg: (H,) zenith angle of each row's middle.
     """
 
     scene: SceneDict
     truth: npt.NDArray[np.float64]
-    zenith_deg: npt.NDArray[np.float64]
 
 
 def empty_slab(
@@ -189,5 +187,4 @@ def empty_slab(
     up = directions[..., 2]
     slab = solve(medium, bottom_m=bottom, top_m=top, ground=ground)
     radiance = slab.radiance(np.zeros(up.size), up.ravel()).reshape(up.shape)
-    middle = np.degrees(np.arccos((up @ weights).mean(axis=1)))
-    return EmptySlab(world_scene, radiance @ weights, middle)
+    return EmptySlab(world_scene, radiance @ weights)

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from synfog_usd import __version__
-from synfog_usd.base import seeds, system
+from synfog_usd.base import seeds
 from synfog_usd.base.arrays import strips
 from synfog_usd.base.errors import GraphError, ImageError, SynfogError, did_you_mean
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.yamlio import Place
 from synfog_usd.camera.graph.compose import SCHEMA
 from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile, Setting
@@ -238,7 +237,6 @@ class NodeGraph:
         overrides: Mapping[str, Any] | None = None,
         until: str | None = None,
         keep: Sequence[str] | None = None,
-        progress: Progress = silent,
     ) -> GraphRun:
         """Run the graph.
 
@@ -252,7 +250,6 @@ class NodeGraph:
             overrides: see `with_overrides`.
             until: run only this node, or the node of this output, and what it reads.
             keep: nodes whose images are returned; all unless given.
-            progress: called before each node.
 
         Returns:
             Images by node name, and milliseconds.
@@ -261,7 +258,6 @@ class NodeGraph:
             GraphError: an image, node or setting is missing or does not fit.
             ImageError: an image holds what the ops cannot take.
         """
-        system.keep_memory()
         graph = self.with_overrides(overrides) if overrides else self
         needed = graph._needed(until)
         for name in keep or ():
@@ -271,8 +267,7 @@ class NodeGraph:
         readers = {name: sum(name in graph.nodes[node].inputs for node in needed) for name in (*have, *needed)}
         milliseconds: dict[str, float] = {}
         done: dict[str, Image] = {}
-        for index, name in enumerate(needed):
-            progress(name, index / len(needed))
+        for name in needed:
             began = time.perf_counter()
             have[name] = graph._apply(graph.nodes[name], have, seed, settings or {})
             milliseconds[name] = (time.perf_counter() - began) * 1e3
@@ -282,7 +277,6 @@ class NodeGraph:
                 readers[source] -= 1
                 if readers[source] == 0:
                     del have[source]
-        progress("done", 1.0)
         return GraphRun(done, milliseconds)
 
     def outputs_of(self, name: str) -> dict[str, str]:
