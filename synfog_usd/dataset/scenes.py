@@ -85,8 +85,8 @@ class Scenes:
         from synfog_usd.camera import distortion, fisheye
 
         if self.graph is not None and (lens := fisheye.of_graph(self.graph)) is not None:
-            neighbours = tuple(replace(eye, fisheye=lens, fov_x_deg=lens.fov_x_deg) for eye in scene.beside)
-            return _through(replace(scene, beside=neighbours), lens)
+            neighbours = tuple(replace(eye, fisheye=lens, fov_x_deg=lens.fov_x_deg) for eye in scene.further_cameras)
+            return _through(replace(scene, further_cameras=neighbours), lens)
 
         def wider(eye: Camera) -> Camera:
             plane = self.graph is not None and not eye.width_m > 0.0
@@ -97,7 +97,7 @@ class Scenes:
         if eye is scene.camera:
             return scene
         self.taken = pinhole_of(scene.camera)
-        return replace(scene, camera=eye, beside=tuple(wider(eye_beside) for eye_beside in scene.beside))
+        return replace(scene, camera=eye, further_cameras=tuple(wider(further) for further in scene.further_cameras))
 
     def survey(self, todo: Sequence[Shot]) -> None:
         """Read every lighting once and every fog once, that were not read yet."""

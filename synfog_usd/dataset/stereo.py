@@ -65,7 +65,7 @@ class RightEye:
 def pair_of(scene: SceneDict) -> RightEye | None:
     """The nearest camera of a scene's rig that is the right eye of the one that looks; None where none is."""
     eye, candidates = scene.camera, list[RightEye]()
-    for right in scene.beside:
+    for right in scene.further_cameras:
         offset = eye.to_world[:3, :3].T @ (right.to_world[:3, 3] - eye.to_world[:3, 3])
         if _same_lens(eye, right) and offset[0] > 0.0 and np.abs(offset[1:]).max() <= APART * offset[0]:
             focal = eye.width_px / (2.0 * math.tan(math.radians(eye.fov_x_deg) / 2.0))

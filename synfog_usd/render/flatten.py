@@ -356,7 +356,7 @@ class _Detail:
                 continue
             low, high = extent(*points)
             box = low.astype(np.float64), high.astype(np.float64)
-            eyes = (source.camera, *source.beside)
+            eyes = (source.camera, *source.further_cameras)
             self.level[rows] = np.min([detail.levels(eye, standing.to_world[rows], *box) for eye in eyes], axis=0)
 
     def prototype(self, group: str, level: int = FULL) -> dict[str, Mapping[str, Any]]:

@@ -179,7 +179,7 @@ class SceneDict:
             is a mesh in memory; a 'preview_surface' is the BSDF of `render.surface`.
             Radiance of emitters is RGB, linear Rec.709, in cd m-2.
         camera: the camera that looks.
-        beside: further cameras that look at the same world, of a rig.
+        further_cameras: those that look at the same world, of a rig.
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         instances: what the label ids mean, ids 1..K in order.
         instance_of: (shape key,) or (instance key, key in its group) -> label id.
@@ -214,11 +214,11 @@ class SceneDict:
     lanes: tuple[Lanelet, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
-    beside: tuple[Camera, ...] = ()
+    further_cameras: tuple[Camera, ...] = ()
 
     def away_m(self, places: Array) -> Array:
         """(N,) distances [m] of places (N, 3) from the nearest camera."""
-        eyes = [eye.to_world[:3, 3] for eye in (self.camera, *self.beside)]
+        eyes = [eye.to_world[:3, 3] for eye in (self.camera, *self.further_cameras)]
         return np.asarray(np.min([np.linalg.norm(places - eye, axis=1) for eye in eyes], axis=0))
 
 

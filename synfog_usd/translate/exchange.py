@@ -79,7 +79,7 @@ class Exchange:
         self._moment = seen.time, half_exposure(seen.stage, seen.time, seen.eye.path)
         self._origin_m = seen.space.origin_m
         looked = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]
-        self.scene = replace(self.scene, beside=tuple(eye for *_, eye in looked if eye is not None))
+        self.scene = replace(self.scene, further_cameras=tuple(eye for *_, eye in looked if eye is not None))
         begun = self._read(stage, fog, seen)
         self._begun = begun if begun is not None and boundaries == begun.boundaries else None
 
@@ -111,13 +111,13 @@ class Exchange:
         begun, now = self._begun, self._read(stage, fog, seen)
         if begun is None or now is None or not _only_fog(begun, now):
             return None
-        others = (one for one in (self.scene.camera, *self.scene.beside) if one.path != camera)
+        others = (one for one in (self.scene.camera, *self.scene.further_cameras) if one.path != camera)
         known = (note for note in self.scene.notes if note.path != self.scene.camera.path)
         own = notes.closed(lambda path: authored_path(stage, path))
         return replace(
             self.scene,
             camera=eye,
-            beside=tuple(others),
+            further_cameras=tuple(others),
             bounds_m=_around(self.scene.bounds_m, eye.to_world[:3, 3]),
             fog=now.fog,
             notes=tuple(dict.fromkeys((*known, *own, *now.notes))),

@@ -130,8 +130,8 @@ def test_a_second_camera_is_exchanged_at_the_same_origin(tmp_path):
     assert other.origin_m == made.scene.origin_m
     place = other.camera.to_world[:3, 3] + other.origin_m
     np.testing.assert_allclose(place, (123.4, 5.0, 0.0), atol=1e-9)
-    assert [eye.path for eye in made.scene.beside] == ["/World/Rig/Right"]
-    assert [eye.path for eye in other.beside] == ["/World/Ego"]
+    assert [eye.path for eye in made.scene.further_cameras] == ["/World/Rig/Right"]
+    assert [eye.path for eye in other.further_cameras] == ["/World/Ego"]
 
 
 def test_cameras_of_other_moments_are_translated_apart(tmp_path):
@@ -143,7 +143,7 @@ def test_cameras_of_other_moments_are_translated_apart(tmp_path):
     opened = stage.open_stage(path)
     made = Exchange(opened, camera="/World/Ego", frame=1.0, rig=["/World/Rig/Right"])
     assert made.within(opened, camera="/World/Rig/Right") is None
-    assert made.scene.beside == ()
+    assert made.scene.further_cameras == ()
 
 
 def test_cameras_are_named_by_path_name_or_what_is_above():
