@@ -27,7 +27,7 @@ test: setup llvm
 	$(TESTS)
 
 test-all: setup llvm
-	$(TESTS) -m "not physics and not bench and not gpu and not slurm"
+	$(TESTS) -m "not physics and not bench and not gpu"
 
 # Hours: Monte Carlo to a per mille, and ratios against named peers.
 test-physics: setup llvm

@@ -208,7 +208,7 @@ WRONG = [
     (sf.load, [STREET], {"resolution": (0, 27)}, "--resolution 0x27"),
     (sf.load, [STREET], {"resolution": "small"}, "--resolution small"),
     (sf.load, [STREET], {"quality": "draft"}, "no option 'quality'"),
-    (sf.load, [STREET], {"sun_lux": "bright"}, "--sun-lux 'bright'"),
+    (sf.load, [STREET], {"light_scale": "bright"}, "--light-scale 'bright'"),
     (sf.render, ["street.usda"], {}, "takes a scene of load"),
     (sf.bake, [STREET, "out"], {"quality": "foo"}, "--quality foo"),
     (sf.bake, [STREET, "out"], {"samples": "many"}, "--samples 'many'"),

@@ -57,7 +57,7 @@ VERBS = {
     "bake": ["street.usda", "-o", "out", *SMALL, *ONE, "clear,mor150"],
     "benchmark defog": ["out", "-o", "bench", "--methods", "dcp"],
     "compare": ["out/sky/mor150/srgb.png", "out/sky/mor150"],
-    "preview": ["street.usda", "-o", "seen", "--terminal", "none", *SMALL, *ONE, "clear"],
+    "preview": ["street.usda", "-o", "seen", *SMALL, *ONE, "clear"],
     "chart": ["street.usda", "-o", "chart", "--resolution", "16x9", "--samples", "4", "--models", "single"],
     "compose": [RECIPE, "--seed", "1", "-o", "road.usda"],
     "contact": [RECIPE, "-o", "sheet.png", "--seeds", "1", *SMALL],

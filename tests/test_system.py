@@ -65,14 +65,14 @@ def test_every_module_is_imported_without_what_windows_has_not():
 
 
 def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
-    """Opening, limits, translation, findings, terminal and the output folder's lock."""
+    """Opening, limits, translation, findings and the output folder's lock."""
     path, out = tmp_path / "street.usda", tmp_path / "out"
     path.write_text(street(lamp=True), encoding="utf-8")
     done = child(
         """
         from pathlib import Path
         from synfog_usd.base import system
-        from synfog_usd.cli import terminal, worker
+        from synfog_usd.cli import worker
         from synfog_usd.dataset import check
         from synfog_usd.base.errors import OutputError
 
@@ -80,7 +80,6 @@ def test_a_stage_is_checked_and_a_folder_held_without_them(tmp_path):
         with worker.reading_limits():
             found, notes, light = check.look(stage)
         assert light and not [one for one in found if one.severity == "error"]
-        assert terminal.kind() == "none"
         with system.only_writer(out):
             # a lock of lockf is a process's: another one must be refused
             code = "import fcntl, sys; fcntl.lockf(open(sys.argv[1], 'r+b'), fcntl.LOCK_EX | fcntl.LOCK_NB, 1)"

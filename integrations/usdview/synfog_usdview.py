@@ -46,7 +46,7 @@ def words(verb, stage, camera, frame):
     line = [verb, file, "--camera", str(camera)]
     line += ["--out", str(Path(file).parent / "synfog" / f"{Path(file).stem}_{verb}")]
     if frame is not None and not frame.IsDefault():
-        line += ["--frame", f"{frame.GetValue():g}"]
+        line += ["--frames", f"{frame.GetValue():g}"]
     for root in stage.GetPseudoRoot().GetChildren():
         sets = root.GetVariantSets()
         for name in OWN_SETS:

@@ -69,7 +69,7 @@ MOST_EV = 10.0
 """Of stops by which a meter's exposure is changed."""
 
 MOST_LIGHT = 1e12
-"""Of a factor for all lights, and of the sun's illuminance [lx]."""
+"""Of a factor for all lights."""
 
 
 def check_samples(samples: int, option: str = "--samples") -> None:
@@ -116,20 +116,15 @@ def check_bands(count: int) -> None:
         raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))}")
 
 
-def check_light(*, scale: float, sun_lux: float | None) -> None:
-    """Refuse light that is none, or without end.
+def check_light(scale: float) -> None:
+    """Refuse a factor for all lights that leaves none, or is without end.
 
     Raises:
         ParameterError: with the range.
     """
-    for option, value in (("--light-scale", scale), ("--sun-lux", sun_lux)):
-        if value is not None and not 0.0 < value <= MOST_LIGHT:
-            raise ParameterError(
-                f"{option} {value:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are"
-            )
-    if sun_lux is not None and scale != 1.0:
+    if not 0.0 < scale <= MOST_LIGHT:
         raise ParameterError(
-            f"--light-scale {scale:g} --sun-lux {sun_lux:g}: either gives one factor for all lights; leave one out"
+            f"--light-scale {scale:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are"
         )
 
 

@@ -23,7 +23,7 @@ REMARKS = 5
 """How many remarks are printed; warnings all are."""
 
 
-def run(options: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+def run(options: dict[str, Any]) -> None:
     """Bake as the command line asked for; raises `typer.Exit` where the code is not 0.
 
     Args:
@@ -37,20 +37,14 @@ def run(options: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
             _tidy(plan.out, code, plan.stage, frames=job.codes is not None)
         raise typer.Exit(2 if code < 0 else code)
     worker.follow_parent()
-    with shown(quiet) as (progress, log):
+    with shown(quiet=False) as (progress, log):
         baked = make(job, progress=progress, log=log, reading=worker.reading_limits)
-        if not quiet:
-            _report(baked.notes, plan.stage, log)
-    manifest = baked.manifest
-    if as_json:
-        single = isinstance(manifest, dict) and "shots" in manifest
-        print(json.dumps({**manifest, "seconds": baked.seconds, "kept": baked.kept} if single else manifest, indent=2))
-    elif not quiet:
-        print(_made(job, manifest))
+        _report(baked.notes, plan.stage, log)
+    print(_summary(job, baked.manifest))
 
 
-def _made(job: BakeJob, manifest: Any) -> str:
-    """What was made, in a line."""
+def _summary(job: BakeJob, manifest: Any) -> str:
+    """How many shots, cameras or frames there are now, and where."""
     out = job.plan.out
     if job.codes is not None:
         clips = [

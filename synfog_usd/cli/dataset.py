@@ -21,7 +21,6 @@ Workers = Annotated[
     int | None, typer.Option(min=1, help="Units at a time on this machine; what its memory allows if left out.")
 ]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a running Dask scheduler, as tcp://host:8786.")]
-Cluster = Annotated[Path | None, typer.Option(help="YAML of a batch system (Slurm, PBS, LSF), whose jobs are workers.")]
 Limit = Annotated[
     float | None,
     typer.Option(min=1.0, help="Seconds after which a unit is ended; ten times what others took if left out."),
@@ -47,7 +46,6 @@ class RetryWords:
     out: Folder
     workers: Workers = None
     scheduler: Scheduler = None
-    cluster: Cluster = None
     limit: Limit = None
     variant: Variant = "auto"
     gpu: options.Gpu = None
@@ -56,7 +54,7 @@ class RetryWords:
 
     def where(self) -> dict[str, Any]:
         """On what machines units are made, and for how long, as `make_set` takes it."""
-        machines = {"workers": self.workers, "scheduler": self.scheduler, "batch": self.cluster}
+        machines = {"workers": self.workers, "scheduler": self.scheduler}
         return {**machines, "limit_s": self.limit, "variant": options.device(self.variant, self.gpu)}
 
 
@@ -183,11 +181,10 @@ def gallery(
 @app.command()
 def stats(
     out: options.SetOrBake,
-    to: Annotated[Path | None, typer.Option(help="HTML to write; OUT-stats.html if left out.")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write one page of figures of a set, beside published ones."""
+    """Print figures of a set, beside published ones."""
     from synfog_usd.cli import exports as verb
 
-    verb.stats(out, to, quiet=quiet, as_json=as_json)
+    verb.stats(out, quiet=quiet, as_json=as_json)

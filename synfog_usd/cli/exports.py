@@ -30,13 +30,13 @@ def export(
         summary = {
             "folder": str(target),
             "pictures": census.pictures,
-            "boxes": census.things,
+            "boxes": census.boxes,
             "dropped": census.dropped,
         }
         print(json.dumps(summary, indent=2))
     elif not quiet:
         print(
-            f"{target}: {census.pictures} pictures, {census.things} boxes, {census.dropped} things without one; see "
+            f"{target}: {census.pictures} pictures, {census.boxes} boxes, {census.dropped} things without one; see "
             f"README.md there"
         )
 
@@ -52,15 +52,10 @@ def gallery(out: Path, to: Path | None, *, quiet: bool) -> None:
         print(f"{count} pictures: open {(target / 'index.html').resolve().as_uri()} in a browser")
 
 
-def stats(out: Path, to: Path | None, *, quiet: bool, as_json: bool) -> None:
-    """Write one page of figures."""
+def stats(out: Path, *, quiet: bool, as_json: bool) -> None:
+    """Print figures."""
     from synfog_usd.dataset.exports import stats as figures
 
-    target = to or out.resolve().with_name(f"{out.resolve().name}-stats.html")
     with shown(quiet) as (progress, _):
         counted = figures.gather(out, progress=progress)
-    figures.write(counted, target, title=out.resolve().name)
-    if as_json:
-        print(json.dumps(counted.metadata(), indent=2))
-    elif not quiet:
-        print(f"{target}: {counted.pictures} pictures of {len(counted.scenes)} scenes")
+    print(json.dumps(counted.metadata(), indent=2) if as_json else figures.text(counted, out.resolve().name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import sys
 from dataclasses import dataclass
@@ -47,21 +48,16 @@ class BakeWords(options.ViewWords):
     frames: Annotated[
         str | None,
         typer.Option(
-            help="Time codes FIRST:LAST or FIRST:LASTxSTEP, as 0:90x2: a folder for each, and clips in OUT/clips."
+            help=(
+                "One time code, as 12; or FIRST:LAST or FIRST:LASTxSTEP, as 0:90x2: a folder for each, and clips in "
+                "OUT/clips."
+            )
         ),
     ] = None
     resolution: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels, as in 640x360.")] = None
     quality: options.Quality = numbers.STANDARD
     samples: options.Samples = None
-    target_error: Annotated[
-        float | None,
-        typer.Option(help="Relative error of a pixel to stop at, as 0.01, instead of what --quality promises."),
-    ] = None
-    bands: Annotated[
-        int, typer.Option(help="Light that a path carries: 3 (R, G, B), 8, 16 or 31 wavelength bands.")
-    ] = numbers.RGB
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON on standard output.")] = False
 
 
 @app.command()
@@ -70,8 +66,7 @@ def bake(words: BakeWords) -> None:
     """Bake STAGE: every lighting in every fog, to radiance, RAW and sRGB."""
     from synfog_usd.cli import bake as verb
 
-    asked_for = words.as_words()
-    verb.run(asked_for, quiet=words.quiet, as_json=asked_for.pop("as_json"))
+    verb.run(words.as_words())
 
 
 @dataclass(kw_only=True)
@@ -90,33 +85,34 @@ class PreviewWords(options.ViewWords):
     ] = None
     camera: options.Camera = None
     watch: Annotated[
-        bool, typer.Option("--watch", help="Draw again on each save of a file that STAGE is made of, until Ctrl-C.")
+        bool,
+        typer.Option(
+            "--watch", help="Draw again on each save of a layer in STAGE's folder, or of the graph, until Ctrl-C."
+        ),
     ] = False
-    terminal: Annotated[
-        str, typer.Option(help="Pictures in the terminal: colours, 256 or none; auto goes by its variables.")
-    ] = "auto"
     resolution: options.Resolution = "320x180"
     samples: options.Samples = 2
+    frame: Annotated[float | None, typer.Option("--frames", help="Time code.")] = None
+    variant: options.Variant = "auto"
+    gpu: options.Gpu = None
+    quiet: options.Quiet = False
 
 
 @app.command()
 @options.spread
 def preview(words: PreviewWords) -> None:
-    """Draw STAGE small and clean, every lighting in every fog, in the terminal and as a bake's files."""
+    """Draw STAGE small and clean, every lighting in every fog, as a bake's files."""
     from synfog_usd.cli import preview as verb
-    from synfog_usd.cli.terminal import KINDS
 
-    if words.terminal not in ("auto", *KINDS):
-        raise ParameterError(f"--terminal {words.terminal}: takes auto, {', '.join(KINDS)}")
     asked_for = {
         **words.as_words(),
         "out": words.out or Path("out") / "preview" / words.stage.stem,
-        "bands": 3,
+        "variant": options.device(words.variant, words.gpu),
         "draft": True,
     }
-    del asked_for["watch"], asked_for["terminal"]
-    how = None if words.terminal == "auto" else words.terminal
-    verb.run(asked_for, watch=words.watch, how=how, quiet=words.quiet)  # type: ignore[arg-type]
+    for name in ("watch", "gpu", "quiet"):
+        del asked_for[name]
+    verb.run(asked_for, watch=words.watch, quiet=words.quiet)
 
 
 @app.command()
@@ -276,28 +272,36 @@ def compare(
     benches.compare(mine, shot, picture=picture, clear=clear, as_json=as_json)
 
 
-@app.command()
-def compose(
-    recipe: Annotated[Path, typer.Argument(help="YAML recipe, or the name of one that ships, as residential.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")],
-    change: options.Changes = None,
+@dataclass(kw_only=True)
+class ComposeWords:
+    """Options of `compose`."""
+
+    recipe: Annotated[Path, typer.Argument(help="YAML recipe, or the name of one that ships, as residential.")]
+    seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")]
+    out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")]
+    change: options.Changes = None
     seconds: Annotated[
         float | None, typer.Option(help="Length of a clip in which traffic and people move [s]; 0 for a still.")
-    ] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames of the clip a second, 10 if left out.")] = None,
+    ] = None
+    fps: Annotated[float | None, typer.Option(help="Frames of the clip a second, 10 if left out.")] = None
     traffic: Annotated[
         Path | None, typer.Option(help="FCD of SUMO (.xml) that drives, in place of the traffic that is drawn.")
-    ] = None,
-    fcd: Annotated[Path | None, typer.Option(help="File for the traffic of the clip as FCD (.xml).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False,
-) -> None:
+    ] = None
+    fcd: Annotated[Path | None, typer.Option(help="File for the traffic of the clip as FCD (.xml).")] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False
+
+
+@app.command()
+@options.spread
+def compose(words: ComposeWords) -> None:
     """Draw a stage from RECIPE: another road, other cars, people, fogs and skies for each seed."""
     from collections import Counter
 
     from synfog_usd.world.compose import compose as draw
 
-    spec = draw(recipe, out, seed=seed, change=change or [], seconds=seconds, fps=fps, traffic=traffic, fcd=fcd)
+    asked = dataclasses.asdict(words)
+    as_json, recipe, out = (asked.pop(name) for name in ("as_json", "recipe", "out"))
+    spec = draw(recipe, out, **{**asked, "change": words.change or []})
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return
@@ -542,27 +546,34 @@ def graph_profile(kind: Annotated[str, typer.Argument(help="sensor or lens.")]) 
     print(verb.profile_text(kind), end="")
 
 
-@asset_app.command("import")
-def asset_import(
-    file: Annotated[Path, typer.Argument(help="Model: .glb, .gltf, .obj, .ply, .usd, .usda, .usdc or .usdz.")],
-    label: Annotated[str, typer.Option("--class", help="Cityscapes class, as car, person, 'traffic sign'.")],
+@dataclass(kw_only=True)
+class ImportWords:
+    """Options of `asset import`."""
+
+    file: Annotated[Path, typer.Argument(help="Model: .glb, .gltf, .obj, .ply, .usd, .usda, .usdc or .usdz.")]
+    label: Annotated[str, typer.Option("--class", help="Cityscapes class, as car, person, 'traffic sign'.")]
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Library folder; the model becomes <out>/<name>/<name>.usda.")
-    ] = Path("models"),
-    name: Annotated[str | None, typer.Option(help="Name of the model; from the file's name if left out.")] = None,
+    ] = Path("models")
+    name: Annotated[str | None, typer.Option(help="Name of the model; from the file's name if left out.")] = None
     length: Annotated[
         float | None, typer.Option(help="Its length in metres, the way it looks; scales the model to it.")
-    ] = None,
+    ] = None
     unit: Annotated[
         str | None, typer.Option(help="Unit of the file: m, cm, mm, in, ft or dm; the file's, or m, if left out.")
-    ] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of the file that points up, as +Z.")] = None,
-    front: Annotated[str | None, typer.Option(help="Axis of the file that it looks along, as -Y.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
-) -> None:
+    ] = None
+    up: Annotated[str | None, typer.Option(help="Axis of the file that points up, as +Z.")] = None
+    front: Annotated[str | None, typer.Option(help="Axis of the file that it looks along, as -Y.")] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print the model's figures as JSON.")] = False
+
+
+@asset_app.command("import")
+@options.spread
+def asset_import(words: ImportWords) -> None:
     """Import FILE as a model of the library: in metres, Z up, front +Y, on the ground, labelled, in two levels of
     detail.
     """
+    file = words.file
     if not worker.is_worker():
         raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), file))
     worker.follow_parent()
@@ -575,28 +586,26 @@ def asset_import(
         system.allow(system.PER_BYTE * file.stat().st_size if file.is_file() else 0)
         if file.suffix.lower() in LAYERS:
             open_stage(file, whole=True)  # counted, and with no file from elsewhere, before the importer unfolds it
-        imported = import_asset(file, label, out=out, name=name, length_m=length, unit=unit, up=up, front=front)
+        axes = {"unit": words.unit, "up": words.up, "front": words.front}
+        imported = import_asset(file, words.label, out=words.out, name=words.name, length_m=words.length, **axes)
     model, (full, low) = imported.model, imported.triangles
-    if as_json:
-        size = {
-            "length_m": round(model.length, 4),
-            "width_m": round(model.width, 4),
-            "height_m": round(model.height, 4),
-        }
+    size_m = (model.length, model.width, model.height)
+    if words.as_json:
         summary = {
             "name": model.name,
             "class": model.label,
             "path": str(model.path),
-            **size,
+            **dict(zip(("length_m", "width_m", "height_m"), (round(side, 4) for side in size_m), strict=True)),
             "triangles": full,
             "triangles_low": low,
+            "notes": list(imported.notes),
         }
-        print(json.dumps({**summary, "notes": list(imported.notes)}, indent=2))
+        print(json.dumps(summary, indent=2))
         return
     for note in imported.notes:
         print(note)
     levels = f"{full} triangles" + (f", {low} from afar" if low else "")
-    print(f"{model.path}: {model.label}, {model.length:.2f} x {model.width:.2f} x {model.height:.2f} m, {levels}")
+    print(f"{model.path}: {model.label}, {' x '.join(f'{side:.2f}' for side in size_m)} m, {levels}")
 
 
 def _crash_line(code: int, stage: Path) -> int:
@@ -607,24 +616,25 @@ def _crash_line(code: int, stage: Path) -> int:
     return code
 
 
-OLD_WORDS = {
-    "bake": ("--set", "--choose"),
-    "preview": ("--set", "--choose"),
-    "check": ("--set", "--choose"),
-    "compose": ("--set", "--change"),
-    "contact": ("--set", "--change"),
-}
-"""Verb -> what one of its options was called, and is now."""
-
 STAGE_WORDS = {
     "--meters-per-unit": "write metersPerUnit into the stage or a layer over it, or call sf.bake(..., "
     "meters_per_unit=0.01)",
     "--up": "write upAxis into the stage or a layer over it, or call sf.bake(..., up='Z')",
 }
 
+SUN_LUX = "--light-scale multiplies all lights; synfog-usd check STAGE tells the factor that makes it noon"
+
 GONE = {
     "bake": {
         **STAGE_WORDS,
+        "--frame": "--frames 12 bakes one time code",
+        "--sun-lux": SUN_LUX,
+        "--target-error": "--quality says when sampling stops; or call sf.bake(..., target_error=0.01)",
+        "--bands": "a set's file takes 'quality: {bands: 16}', and Python sf.bake(..., bands=16)",
+        "--variant": "the best one is taken, see synfog-usd info; or call sf.bake(..., variant='llvm')",
+        "--gpu": "set CUDA_VISIBLE_DEVICES=1 before it, or call sf.bake(..., variant='cuda:1')",
+        "--json": "OUT/bake.json has it; rig.json of several cameras, sequence.json of frames",
+        "--quiet": "its lines go to standard error and its exit code tells; 2> bake.log keeps them",
         "--meter": "a set's file takes 'meter: each', and Python sf.bake(..., meter='each')",
         "--adaptation": "call sf.bake(..., frames='0:90', adaptation=0.3)",
         "--shutter": "write shutter:open and shutter:close of the camera, or call sf.bake(..., shutter=0.01)",
@@ -635,39 +645,41 @@ GONE = {
         "--same-noise": "a set's file takes 'same_noise: true', and Python sf.bake(..., same_noise=True)",
         "--strict": "synfog-usd check STAGE --strict tells before a bake; or call sf.bake(..., strict=True)",
     },
-    "preview": STAGE_WORDS,
+    "preview": {
+        **STAGE_WORDS,
+        "--frame": "--frames 12 draws one time code",
+        "--terminal": "open OUT/contact.png",
+        "--sun-lux": SUN_LUX,
+    },
     "check": STAGE_WORDS,
     "graph": {"--svg": "--mermaid prints a drawing's text, which Markdown and mermaid.live show"},
     "contact": {"--model": "synfog-usd chart compares models"},
+    "dataset": {"--cluster": "let each job of the batch system run dask worker, and name their --scheduler"},
 }
 """Verb -> options that it had -> what to do instead."""
 
 
-def _in_new_words(arguments: list[str]) -> list[str]:
-    """A command line with the options' new names; a line says so.
+def _refuse_gone(arguments: list[str]) -> None:
+    """Refuse an option that was removed.
 
     Raises:
-        ParameterError: an option that was removed, with what to do instead.
+        ParameterError: with what to do instead.
     """
     verb = arguments[0] if arguments else ""
     for word in arguments:
         option = word.partition("=")[0]
         if instead := GONE.get(verb, {}).get(option):
             raise ParameterError(f"{verb} takes no {option}: {instead}")
-    old, new = OLD_WORDS.get(verb, ("", ""))
-    if not old or not any(word == old or word.startswith(f"{old}=") for word in arguments):
-        return arguments
-    if not worker.is_worker():
-        print(f"synfog-usd: {old} of {verb} is called {new} now", file=sys.stderr)
-    return [new + word.removeprefix(old) if word == old or word.startswith(f"{old}=") else word for word in arguments]
 
 
-def main(arguments: list[str] | None = None) -> Any:
+def main(arguments: list[str] | None = None) -> None:
     """Run one command line; the way out is always an exit code."""
     isolated.forget_foreign()
+    arguments = sys.argv[1:] if arguments is None else arguments
     try:
         with worker.printed():
-            app(args=_in_new_words(sys.argv[1:] if arguments is None else arguments))
+            _refuse_gone(arguments)
+            app(args=arguments)
     except SynfogError as error:
         print(f"synfog-usd: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -72,7 +72,6 @@ Pipeline = Annotated[
 Lightings = Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")]
 Fogs = Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")]
 Camera = Annotated[str | None, typer.Option(help="Prim path of the camera.")]
-Frame = Annotated[float | None, typer.Option(help="Time code.")]
 Choices = Annotated[
     list[str] | None,
     typer.Option(
@@ -96,10 +95,6 @@ Exposure = Annotated[
 Iso = Annotated[float | None, typer.Option(help="ISO speed instead of the meter's.")]
 Ev = Annotated[float, typer.Option(help="Stops by which the meter exposes brighter, as -1 for half of the light.")]
 LightScale = Annotated[float, typer.Option(help="Multiply all lights by this.")]
-SunLux = Annotated[
-    float | None,
-    typer.Option(help="Multiply all lights so that the sun gives this illuminance, as 80000 for a clear noon."),
-]
 Quality = Annotated[
     str,
     typer.Option(
@@ -126,7 +121,7 @@ Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the find
 
 @dataclass(kw_only=True)
 class ViewWords:
-    """What `bake` and `preview` take: a stage, what is made of it and where, and how it is exposed."""
+    """Options of `bake` and `preview`: a stage, what is made of it and where, and how it is exposed."""
 
     stage: Stage
     out: Annotated[
@@ -148,24 +143,16 @@ class ViewWords:
             help="Cameras by path or name, comma-separated, or a prim above them; of several each has a folder."
         ),
     ] = None
-    frame: Frame = None
     choose: Choices = None
     exposure: Exposure = None
     iso: Iso = None
     ev: Ev = 0.0
     light_scale: LightScale = 1.0
-    sun_lux: SunLux = None
-    variant: Variant = "auto"
-    gpu: Gpu = None
     allow: Allow = None
-    quiet: Quiet = False
 
     def as_words(self) -> dict[str, Any]:
-        """Values by option, as `plan_of` takes them; what only the command line knows is left out."""
-        words = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        for name in ("gpu", "quiet"):
-            del words[name]
-        return {**words, "variant": device(self.variant, self.gpu)}
+        """Values by option, as `plan_of` takes them."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
 
 def device(variant: str, gpu: int | None) -> str:

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 
 PLAIN_INTERVAL_S = 5.0
 
-TOLD = 0.05
-"""Share of the work that is done before the time that is left is told: a scene that is set up says nothing of it."""
+LEAST_DONE = 0.05
+"""Share of the work that is done before a bar estimates the time that is left."""
 
 
 @contextlib.contextmanager
@@ -47,7 +47,7 @@ def shown(quiet: bool) -> Iterator[tuple[Callable[[str, float], None], Callable[
 
 def _left(spent_s: float, fraction: float) -> str:
     """Estimate of the remaining time."""
-    return f"about {spent_s / fraction - spent_s:.0f} s left" if TOLD <= fraction < 1.0 else ""
+    return f"about {spent_s / fraction - spent_s:.0f} s left" if LEAST_DONE <= fraction < 1.0 else ""
 
 
 def _plain_progress() -> Callable[[str, float], None]:

@@ -77,10 +77,6 @@ def _folders(value: object, option: str) -> tuple[Path, ...]:
     return tuple(path_of(folder, option) for folder in several)
 
 
-def _quality(value: object, option: str) -> Any:
-    return value  # the plan itself looks at it
-
-
 def _choices(value: object, option: str) -> tuple[str, ...]:
     return names([value] if isinstance(value, str) else value, option) if value else ()
 
@@ -94,7 +90,6 @@ OPTIONS: dict[str, Reader] = {
     "frame": number,
     "lights": word,
     "light_scale": number,
-    "sun_lux": number,
     "choose": _choices,
     "meters_per_unit": number,
     "up": word,
@@ -106,7 +101,7 @@ OPTIONS: dict[str, Reader] = {
     "mask": names,
     "resolution": _size,
     "model": word,
-    "quality": _quality,
+    "quality": lambda value, option: value,  # the plan itself looks at it
     "samples": count,
     "target_error": number,
     "bands": count,

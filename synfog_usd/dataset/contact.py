@@ -5,10 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base import files
 from synfog_usd.dataset.plan import Shot
+
+if TYPE_CHECKING:
+    from PIL import ImageFont
 
 NAME = "contact.png"
 TILE_WIDTH_PX = 480
@@ -19,11 +22,11 @@ INK = (225, 225, 225)
 
 
 ALARM = (255, 176, 64)
-MOST_TOLD = 6
+MOST_LINES = 6
 
 
 def write(
-    out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]], *, told: Sequence[str] = ()
+    out: Path, shots: Sequence[Shot], rows: Mapping[str, Mapping[str, Any]], *, missing: Sequence[str] = ()
 ) -> dict[str, str]:
     """Write `contact.png` from the first PNG of each shot.
 
@@ -31,8 +34,8 @@ def write(
         out: folder of the bake.
         shots: what to show.
         rows: of the manifest, by folder.
-        told: lines that stand over the pictures, as what is missing in them; the first `MOST_TOLD` and the number of
-            the rest.
+        missing: lines that stand over the pictures, as what is missing in them; `MOST_LINES`, and the number of the
+            rest.
 
     Returns:
         {name: sha256}, or {} where the node graph writes no PNG.
@@ -50,8 +53,8 @@ def write(
         tile = (TILE_WIDTH_PX, max(1, round(TILE_WIDTH_PX * first.height / first.width)))
     step = (tile[0] + GAP_PX, tile[1] + CAPTION_PX + GAP_PX)
     lines = [
-        *told[:MOST_TOLD],
-        *([f"and {len(told) - MOST_TOLD} more, see notes in bake.json"] if len(told) > MOST_TOLD else []),
+        *missing[:MOST_LINES],
+        *([f"and {len(missing) - MOST_LINES} more, see notes in bake.json"] if len(missing) > MOST_LINES else []),
     ]
     top = CAPTION_PX * len(lines)
     sheet = Image.new("RGB", (GAP_PX + step[0] * len(fogs), top + GAP_PX + step[1] * len(lightings)), BACKGROUND)
@@ -71,7 +74,7 @@ def write(
     return {NAME: files.sha256_of(out / NAME)}
 
 
-def _fitting(line: str, font: Any, width_px: int) -> str:
+def _fitting(line: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width_px: int) -> str:
     """As much of a line as goes into a width, its middle left out where it is too long."""
     line = "".join(sign if sign.isprintable() else "?" for sign in line[:2000])
     half = len(line) // 2

@@ -21,12 +21,13 @@ from synfog_usd.base.image import Image
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.values import check_words, names, path_of
 from synfog_usd.camera.writers import write_exr
-from synfog_usd.dataset import bake
 from synfog_usd.dataset.asked import fog_names, plan_of
 from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.labels import label_image
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, noise_seed, shots
 from synfog_usd.dataset.session import Session, begin, one_camera
+from synfog_usd.dataset.shot import RenderedShot, clear_scenes, is_metered, meter_view, sample_shot
+from synfog_usd.dataset.shot_files import provenance_of
 
 if TYPE_CHECKING:
     from synfog_usd.base.notes import Note
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from synfog_usd.scene import Instance, SceneDict
 
 OF_SCENE = (
-    *("frame", "lights", "light_scale", "sun_lux", "choose", "meters_per_unit", "up", "shutter", "max_distance"),
+    *("frame", "lights", "light_scale", "choose", "meters_per_unit", "up", "shutter", "max_distance"),
     *("mask", "allow", "exposure", "iso", "ev", "variant"),
 )
 """Options of a bake that `load` takes too."""
@@ -154,7 +155,7 @@ class Captured:
 
     Attributes:
         image: its radiance, with what is known of how it was seen.
-        made: the shot.
+        shot: what was rendered.
         clear: the small clear frame that exposures are metered on.
         graph: of the scene's pipeline.
         seed: of the camera's temporal noise.
@@ -162,7 +163,7 @@ class Captured:
     """
 
     image: Image
-    made: bake.ShotMade
+    shot: RenderedShot
     clear: Image
     graph: Any
     seed: int
@@ -192,7 +193,7 @@ def load(
         pipeline: the simulated camera that is going to take the picture: a name of `cameras`, or a YAML file; the phone
             if left out. A fisheye's or a distorting lens changes what is rendered.
         resolution: (width, height) [px]; the stage's own if left out.
-        options: of `synfog-usd bake`, with _ for -: frame, lights, light_scale, sun_lux, choose, meters_per_unit, up,
+        options: of `synfog-usd bake`, with _ for -: frame, lights, light_scale, choose, meters_per_unit, up,
             shutter, max_distance, mask, allow, exposure, iso, ev, variant.
 
     Raises:
@@ -242,18 +243,18 @@ def render(
     shot, scenes, renderer = scene._shot, session.scenes(scene._eye), session.renderer
     with reading_here():
         world = scenes.of(shot)
-        clear = bake.clear_scenes(shot, session, scene._eye)
+        clear = clear_scenes(shot, session, scene._eye)
     view = None
-    if bake.is_metered(session.graph, plan):
-        view = bake.meter_view(shot.lighting, clear, session, plan, lambda: None)
+    if is_metered(session.graph, plan):
+        view = meter_view(shot.lighting, clear, session, plan, lambda: None)
     metered = session.frame(shot.lighting, scene._eye, clear[scene._eye])
-    visible = view.seen if view and view.world is world.world else None
+    visible = view.visible if view and view.world is world.world else None
     moments = moments_of(session.graph)
-    picture = bake.sample_shot(shot, world, renderer, view, plan, scenes.taken, moments, progress)
+    picture = sample_shot(shot, world, renderer, view, plan, scenes.sensor, moments, progress)
     result = picture(silent)
     if visible is None:
         visible = aovs.measure(renderer.within(replace(world, fog=())))
-    image = result.rendered.radiance.with_metadata(**bake.taken_with(result, plan, session.specimen(scene._eye)))
+    image = result.rendered.radiance.with_metadata(**provenance_of(result, plan, session.specimen(scene._eye)))
     noise = noise_seed(plan.seed, shot.lighting, shot.fog)
     progress("done", 1.0)
     return _frame(
@@ -263,7 +264,7 @@ def render(
 
 def _frame(labels: Image, captured: Captured) -> Frame:
     planes = dict(zip(labels.channels, np.moveaxis(labels.pixels, 2, 0), strict=True))
-    rendered = captured.made.rendered
+    rendered = captured.shot.rendered
     groups = {f"lightgroup_{name}": pixels for name, pixels in rendered.groups.items()}
     assert rendered.radiance.variance is not None
     return Frame(
@@ -277,7 +278,7 @@ def _frame(labels: Image, captured: Captured) -> Frame:
         error=None if rendered.error is None else rendered.error.astype(np.float32),
         variance=rendered.radiance.variance,
         layers={**rendered.components, **groups},
-        instances=captured.made.scene.instances,
+        instances=captured.shot.scene.instances,
         warnings=rendered.warnings,
         _taken=captured,
     )

@@ -60,12 +60,14 @@ def job_of(
     Raises:
         ParameterError: a value that makes no sense; nothing is opened or written before.
     """
-    plan = plan_of(stage, out, **asked)
     codes = None
     if frames is not None:
         codes = frame_codes(frames) if isinstance(frames, str) else tuple(number(code, "--frames") for code in frames)
-    if codes is not None and plan.frame is not None:
-        raise ParameterError("--frame and --frames: either one time code or several; leave one out")
+        if asked.get("frame") is not None:
+            raise ParameterError("frame and frames: either one time code or several; leave one out")
+        if isinstance(frames, str) and ":" not in frames:
+            (asked["frame"],), codes = codes, None
+    plan = plan_of(stage, out, **asked)
     seconds = ADAPTATION_S if adaptation is None else number(adaptation, "--adaptation")
     if not 0.0 <= seconds < math.inf:
         raise ParameterError(f"--adaptation {seconds:g}: it takes seconds, 0 and more")

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.dataset import masks
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.render.film.aovs import Aovs
@@ -85,7 +85,7 @@ def _area(lane: Lanelet) -> shapely.Polygon:
     return area if area.is_valid else area.buffer(0.0)
 
 
-def _places(aov: Aovs, scene: SceneDict, where: Any) -> Array:
+def _places(aov: Aovs, scene: SceneDict, where: Flags) -> Array:
     """(N, 3) what some pixels see, in the scene [m]."""
     view = Projection.of(scene.camera)
     row, column = np.nonzero(where)

@@ -65,7 +65,6 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "seed": plan.seed,
             "lights": plan.lights,
             "light_scale": plan.light_scale,
-            "sun_lux": plan.sun_lux,
             "choices": list(plan.choices),
             "metres_per_unit": plan.metres_per_unit,
             "up": plan.up,

@@ -7,7 +7,7 @@ OpenCV's here: x right, y down, z forward.  Pictures have their corner at (0, 0)
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -314,5 +314,5 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
     }
 
 
-def _rounded(values: Any, digits: int) -> list[float]:
+def _rounded(values: Array | Sequence[float], digits: int) -> list[float]:
     return [round(float(value), digits) + 0.0 for value in values]

@@ -20,11 +20,12 @@ from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import Exposure, moments_of
 from synfog_usd.camera.graph import NodeGraph, make_graph
 from synfog_usd.camera.graph.outputs import suffix_of
-from synfog_usd.dataset import bake
 from synfog_usd.dataset.frames import Frame
 from synfog_usd.dataset.session import check_compensation
+from synfog_usd.dataset.shot_files import inputs_of
 
 if TYPE_CHECKING:
+    Camera = str | os.PathLike[str] | Mapping[str, Any] | NodeGraph | None
     Light = Frame | npt.ArrayLike | str | os.PathLike[str] | Mapping[str, npt.ArrayLike | str | os.PathLike[str]]
 
 PHONE = "phone"
@@ -111,7 +112,7 @@ class Photo:
 
 def develop(
     light: Light,
-    camera: str | os.PathLike[str] | Mapping[str, Any] | NodeGraph | None = None,
+    camera: Camera = None,
     *,
     meter: Light | None = None,
     exposure: float | str | None = None,
@@ -175,7 +176,7 @@ def _open(graph: NodeGraph) -> bool:
     return bool(cameras.exposure_left_open(graph))
 
 
-def _graph_of(light: Any, camera: Any) -> NodeGraph:
+def _graph_of(light: Light, camera: Camera) -> NodeGraph:
     if camera is None and isinstance(light, Frame):
         graph: NodeGraph = light._taken.graph
         return graph
@@ -195,7 +196,7 @@ def _linear_node(graph: NodeGraph) -> str | None:
     return next((node.name for node in reversed(corrected or linear)), None)
 
 
-def _inputs(light: Any, graph: NodeGraph, fov_x_deg: float | None) -> dict[str, Image]:
+def _inputs(light: Light, graph: NodeGraph, fov_x_deg: float | None) -> dict[str, Image]:
     """The graph's inputs from what was given."""
     if isinstance(light, Frame):
         return _of_frame(light, graph)
@@ -212,7 +213,7 @@ def _inputs(light: Any, graph: NodeGraph, fov_x_deg: float | None) -> dict[str, 
 
 
 def _of_frame(frame: Frame, graph: NodeGraph) -> dict[str, Image]:
-    result, radiance = frame._taken.made, frame._taken.image
+    result, radiance = frame._taken.shot, frame._taken.image
     moves = bool(result.scene.camera.moves or result.scene.motion_of)
     exposures = {}
     for name in moments_of(graph):
@@ -222,12 +223,12 @@ def _of_frame(frame: Frame, graph: NodeGraph) -> dict[str, Image]:
                 f"load(..., pipeline={graph.name!r})"
             )
         exposures[name] = radiance.with_pixels(result.exposures[name].pixels) if moves else radiance
-    inputs = bake.inputs_of(graph, result.rendered, radiance, exposures)
+    inputs = inputs_of(graph, result.rendered, radiance, exposures)
     depth = Image(frame.depth_m[:, :, None], ("depth.Z",), Quantity.DATA)
     return inputs | {name: depth for name, port in graph.inputs.items() if port.quantity is Quantity.DATA}
 
 
-def _image(light: Any, quantity: Quantity, name: str) -> Image:
+def _image(light: npt.ArrayLike | Image | str | os.PathLike[str], quantity: Quantity, name: str) -> Image:
     if isinstance(light, Image):
         return light
     if isinstance(light, (str, os.PathLike)):

@@ -48,23 +48,23 @@ class ClipFrame:
 
 
 def frame_codes(text: str) -> tuple[float, ...]:
-    """Time codes of FIRST:LAST or FIRST:LASTxSTEP, both ends included, as usdrecord takes them.
+    """Time codes of FIRST, FIRST:LAST or FIRST:LASTxSTEP, both ends included, as usdrecord takes them.
 
     Raises:
-        ParameterError: no such thing, or more than `MOST_FRAMES`.
+        ParameterError: the text is none of these, or stands for more than `MOST_FRAMES`.
 
-    >>> frame_codes("0:3"), frame_codes("10:11x0.5"), frame_codes("2:0x-1")
-    ((0.0, 1.0, 2.0, 3.0), (10.0, 10.5, 11.0), (2.0, 1.0, 0.0))
+    >>> frame_codes("0:3"), frame_codes("10:11x0.5"), frame_codes("2:0x-1"), frame_codes("12")
+    ((0.0, 1.0, 2.0, 3.0), (10.0, 10.5, 11.0), (2.0, 1.0, 0.0), (12.0,))
     """
     number = r"(-?\d+(?:\.\d+)?)"
-    match = re.fullmatch(f"{number}:{number}(?:x{number})?", text.strip())
+    match = re.fullmatch(f"{number}(?::{number}(?:x{number})?)?", text.strip())
     if match is None:
-        raise ParameterError(f"--frames {text}: it takes FIRST:LAST or FIRST:LASTxSTEP, as in 0:90 or 0:90x2")
-    first, last, step = (
-        float(match[1]),
-        float(match[2]),
-        float(match[3] or (1 if float(match[2]) >= float(match[1]) else -1)),
-    )
+        raise ParameterError(
+            f"--frames {text}: it takes one time code, FIRST:LAST or FIRST:LASTxSTEP, as in 12, 0:90 or 0:90x2"
+        )
+    first = float(match[1])
+    last = float(match[2] or first)
+    step = float(match[3] or (1 if last >= first else -1))
     count = int((last - first) / step + 1e-9) + 1 if step else 0
     if not 1 <= count <= MOST_FRAMES or (last - first) * step < 0.0:
         raise ParameterError(f"--frames {text}: this is no frame, or more than {MOST_FRAMES}")
@@ -93,7 +93,7 @@ class BakePlan:
         variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
         lights: how the stage's intensities are meant, see `translate.translate`.
-        light_scale, sun_lux: what all lights are multiplied by, see `translate.translate`.
+        light_scale: what all lights are multiplied by.
         shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
         exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
         ev: by how many stops the pictures are exposed brighter than the meter says.
@@ -126,7 +126,6 @@ class BakePlan:
     strict: bool = False
     lights: str = "auto"
     light_scale: float = 1.0
-    sun_lux: float | None = None
     choices: tuple[str, ...] = ()
     metres_per_unit: float | None = None
     up: str | None = None
@@ -154,7 +153,7 @@ class BakePlan:
         assert self.samples is not None
         numbers.check_samples(self.samples)
         numbers.check_target(self.target_error)
-        numbers.check_light(scale=self.light_scale, sun_lux=self.sun_lux)
+        numbers.check_light(self.light_scale)
         numbers.check_frame(self.frame)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
         numbers.check_distance(self.max_distance_m)
@@ -185,7 +184,7 @@ class Shot:
     Attributes:
         lighting, fog: variant names, or AS_AUTHORED.
         lighting_variant, fog_variant: the stage's variants to select, or None.
-        asked: fog over the stage's own, or None.
+        fog_override: fog over the stage's own, or None.
         by_lighting: see `BakePlan`.
     """
 
@@ -193,7 +192,7 @@ class Shot:
     fog: str
     lighting_variant: str | None
     fog_variant: str | None
-    asked: Fog | None = None
+    fog_override: Fog | None = None
     by_lighting: bool = True
 
     @property
@@ -229,9 +228,9 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
     for lighting in lights:
         for fog in fogs:
             lit, offered = lighting in variants.get("lighting", ()), fog in variants.get("fog", ())
-            fog_asked = None if offered else Fog.named(fog)
+            override = None if offered else Fog.named(fog)
             result.append(
-                Shot(lighting, fog, lighting if lit else None, fog if offered else None, fog_asked, plan.by_lighting)
+                Shot(lighting, fog, lighting if lit else None, fog if offered else None, override, plan.by_lighting)
             )
     folders: dict[str, str] = {}
     for shot in result:

@@ -27,14 +27,19 @@ class Scenes:
     """
 
     def __init__(
-        self, stage: Any, plan: BakePlan, graph: NodeGraph | None = None, *, lightings: dict[str, Any] | None = None
+        self,
+        stage: Any,
+        plan: BakePlan,
+        graph: NodeGraph | None = None,
+        *,
+        lightings: dict[str, Any] | None = None,
     ) -> None:
         """`lightings` are the translations that the cameras of a rig share."""
         from synfog_usd import stage as usd
 
         self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
         self.lightings: dict[str, Any] = {} if lightings is None else lightings
-        self.taken: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
+        self.sensor: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
         self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
         self.foggy = False  # whether one of them has fog
         self.known: dict[Shot, SceneDict] = {}
@@ -56,12 +61,12 @@ class Scenes:
         )
         first = plan.rig[0] if plan.rig else plan.camera
         choices: dict[str, Any] = {"camera": first, "frame": plan.frame, "resolution": plan.size}
-        choices |= {"lights": plan.lights, "light_scale": plan.light_scale, "sun_lux": plan.sun_lux}
+        choices |= {"lights": plan.lights, "light_scale": plan.light_scale}
         choices["refusal"] = functools.partial(refusal, variant=plan.variant)  # type: ignore[arg-type]
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(
-                self.stage, **choices, rig=plan.rig[1:], fog=shot.asked, before=before
+                self.stage, **choices, rig=plan.rig[1:], fog=shot.fog_override, before=before
             )
         entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
@@ -69,9 +74,9 @@ class Scenes:
         if fresh and plan.camera == first:
             self.known[shot] = self.through_lens(entry.scene)
             return self.known[shot]
-        scene = entry.within(self.stage, fog=shot.asked, camera=plan.camera)
+        scene = entry.within(self.stage, fog=shot.fog_override, camera=plan.camera)
         if scene is None:
-            return self.through_lens(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.asked))
+            return self.through_lens(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.fog_override))
         self.known[shot] = self.through_lens(scene)
         return self.known[shot]
 
@@ -96,7 +101,7 @@ class Scenes:
         eye = wider(scene.camera)
         if eye is scene.camera:
             return scene
-        self.taken = pinhole_of(scene.camera)
+        self.sensor = pinhole_of(scene.camera)
         return replace(scene, camera=eye, further_cameras=tuple(wider(further) for further in scene.further_cameras))
 
     def survey(self, todo: Sequence[Shot]) -> None:
@@ -178,4 +183,4 @@ def cleared(stage: Any, shot: Shot) -> Shot:
     from synfog_usd import stage as usd
 
     clear = CLEAR if CLEAR in usd.variants(stage).get("fog", ()) else None
-    return replace(shot, fog_variant=clear or shot.fog_variant, asked=None)
+    return replace(shot, fog_variant=clear or shot.fog_variant, fog_override=None)

@@ -58,7 +58,7 @@ def bake_sequence(
         rate, still, lightings = _read(plan, codes)
     warnings = [f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still"] * still
     for text in warnings:
-        log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one --frame")
+        log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one frame")
     step = abs(codes[1] - codes[0]) if len(codes) > 1 else 1.0
     per_s = rate / step
     before: dict[str, tuple[float, float]] = {}

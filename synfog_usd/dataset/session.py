@@ -180,9 +180,7 @@ def one_camera(session: Session) -> str | None:
 
 
 class Renderer:
-    """The renderer's side of one scene at a time; another that differs in fog or camera alone takes its place at
-    once.
-    """
+    """The renderer's side of one scene at a time; one that differs in fog or camera alone needs no loading."""
 
     def __init__(self, plan: BakePlan) -> None:
         self.plan = plan

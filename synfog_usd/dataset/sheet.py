@@ -78,7 +78,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
             stage, folder = Path(scratch) / "stage.usda", Path(scratch) / f"{index}"
             compose(recipe, stage, seed=seed, change=plan.changes)
 
-            def told(what: str, fraction: float, index: int = index, seed: int = seed) -> None:
+            def report(what: str, fraction: float, index: int = index, seed: int = seed) -> None:
                 progress(f"seed {seed}: {what}", (index + fraction) / len(plan.seeds))
 
             baked = bake(
@@ -92,7 +92,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
                     model=plan.model,
                     variant=plan.variant,
                 ),
-                progress=told,
+                progress=report,
             )
             corner = (GAP_PX + step[0] * (index % across), GAP_PX + step[1] * (index // across))
             for k, shot in enumerate(baked.manifest["shots"]):

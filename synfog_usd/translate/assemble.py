@@ -59,7 +59,6 @@ def translate(
     fog: Fog | None = None,
     lights: str = "auto",
     light_scale: float = 1.0,
-    sun_lux: float | None = None,
     refusal: Refusal | None = None,
 ) -> SceneDict:
     """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
@@ -77,13 +76,11 @@ def translate(
             'rtx-legacy', 'metric' (normalize divides by m2), or 'auto', by the
             program that wrote the layer in which they stand.
         light_scale: what all lights are multiplied by, > 0.
-        sun_lux: illuminance across the sun's rays [lx], > 0, to which all lights are multiplied instead;
-            the sun is all distant lights together.
         refusal: why the renderer does not draw a BSDF, '' where it does, as `render.load.refusal` says it; a native
             material that is refused becomes a note. None believes all, and the renderer refuses the scene.
 
     Raises:
-        ParameterError: `lights` is none of these, or `sun_lux` is asked of a stage without a sun.
+        ParameterError: `lights` is none of these.
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
@@ -93,7 +90,6 @@ def translate(
         "resolution": resolution,
         "lights": lights,
         "light_scale": light_scale,
-        "sun_lux": sun_lux,
         "refusal": refusal,
     }
     return with_boundaries(stage, fog=fog, **choices)[0]
@@ -127,7 +123,6 @@ def with_boundaries(
     fog: Fog | None,
     lights: str,
     light_scale: float,
-    sun_lux: float | None,
     refusal: Refusal | None = None,
     made: TakenOver | None = None,
 ) -> tuple[SceneDict, tuple[str, ...], Outlook]:
@@ -158,7 +153,7 @@ def with_boundaries(
             f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps "
             f"the same {ATTRIBUTE}"
         )
-    world, times = _lit(scene, eye, light_scale, sun_lux, notes)
+    world = _lit(scene, eye, light_scale, notes)
     complete = SceneDict(
         world=world,
         camera=eye,
@@ -166,7 +161,7 @@ def with_boundaries(
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
         group_of=scene.group_of,
-        flux_of={name: times * lumen for name, lumen in scene.flux_of.items()},
+        flux_of={name: light_scale * lumen for name, lumen in scene.flux_of.items()},
         reflectance_of={key: curve for key, curve in scene.materials.reflectance_of.items() if key in world},
         emission_of=scene.emission_of,
         motion_of=scene.motion_of,
@@ -179,18 +174,13 @@ def with_boundaries(
     return complete, tuple(boundary.path for boundary in scene.fog), Outlook(stage, time, space, eye, found)
 
 
-def _lit(
-    scene: _Assembler, eye: Camera, light_scale: float, sun_lux: float | None, notes: Diagnostics
-) -> tuple[dict[str, Any], float]:
-    """The scene's world at the light that is asked for, and by how much it was multiplied; a day that would come out as
-    night is told.
-    """
+def _lit(scene: _Assembler, eye: Camera, light_scale: float, notes: Diagnostics) -> dict[str, Any]:
+    """The scene's world with all lights multiplied; a note on a day that would come out as night."""
     world = scene.world()
+    if light_scale != 1.0:
+        notes.info("", f"all lights are multiplied by {light_scale:.6g}")
+        return daylight.brightened(world, light_scale)
     outside = daylight.measured(world, eye)
-    times = daylight.factor(outside, light_scale=light_scale, sun_lux=sun_lux)
-    if times != 1.0:
-        notes.info("", f"all lights are multiplied by {times:.6g}")
-        return daylight.brightened(world, times), times
     if 0.0 < outside.ground_lux < daylight.NIGHT_LUX:
         root = scene.stage.GetDefaultPrim()
         names = [
@@ -204,7 +194,7 @@ def _lit(
                 f"sun and sky give {outside.ground_lux:.2g} lux on open ground, which is night, but {why} day; "
                 f"if so, mend it with {outside.noon()} (all lights by one factor)",
             )
-    return world, 1.0
+    return world
 
 
 @contextlib.contextmanager
@@ -235,13 +225,13 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
     if stage.HasAuthoredMetadata("startTimeCode") and not math.isfinite(stage.GetStartTimeCode()):
         notes.warn("", f"startTimeCode is {stage.GetStartTimeCode():g}, which is no time; it does not count")
     elif stage.HasAuthoredMetadata("startTimeCode"):
-        notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frame")
+        notes.info("", f"frame {stage.GetStartTimeCode():g}, the stage's first, is drawn; choose another with --frames")
         return Usd.TimeCode(stage.GetStartTimeCode())
     if has_skeletons(stage):
         notes.info(
             "",
             "frame 0 is drawn, because the stage names no first frame and its characters need one; choose another "
-            "with --frame",
+            "with --frames",
         )
         return Usd.TimeCode(0.0)
     samples = [layer_samples[0] for layer in stage.GetUsedLayers() if (layer_samples := layer.ListAllTimeSamples())]
@@ -249,7 +239,7 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
         notes.info(
             "",
             f"frame {min(samples):g}, the first with samples, is drawn, because the stage names no first frame; "
-            f"choose another with --frame",
+            f"choose another with --frames",
         )
         return Usd.TimeCode(min(samples))
     return Usd.TimeCode.Default()

@@ -16,7 +16,6 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
-from synfog_usd.base.errors import ParameterError
 from synfog_usd.scene import Camera, SceneDict
 
 GROUND_ALBEDO = 0.2
@@ -87,9 +86,8 @@ class Outdoors:
 
     def noon(self, times: float = 1.0) -> str:
         """The option that makes it noon; `times` as above."""
-        if self.sun_lux > 0.0:
-            return f"--sun-lux {NOON_SUN_LUX:g}"
-        return f"--light-scale {rounded(times * NOON_GROUND_LUX / self.ground_lux, 1)}"
+        factor = NOON_SUN_LUX / self.sun_lux if self.sun_lux > 0.0 else NOON_GROUND_LUX / self.ground_lux
+        return f"--light-scale {rounded(times * factor, 1)}"
 
 
 def in_words(ground_lux: float) -> str:
@@ -190,22 +188,6 @@ def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
         if blender
         else None
     )
-
-
-def factor(outside: Outdoors, *, light_scale: float, sun_lux: float | None) -> float:
-    """What all lights are multiplied by.
-
-    Raises:
-        ParameterError: an illuminance is asked of a sun that is not there.
-    """
-    if sun_lux is None:
-        return light_scale
-    if not outside.sun_lux > 0.0:
-        raise ParameterError(
-            f"--sun-lux {sun_lux:g}: the stage has no distant light that shines; "
-            + (f"{outside.noon()} makes it noon" if outside.ground_lux > 0.0 else "--light-scale multiplies its lamps")
-        )
-    return sun_lux / outside.sun_lux
 
 
 def brightened(world: Mapping[str, Any], times: float) -> dict[str, Any]:

@@ -45,7 +45,7 @@ class Exchange:
     Args:
         stage: with its variants chosen.
         rig: prim paths of further cameras, which look at the same moment.
-        camera, frame, resolution, fog, lights, light_scale, sun_lux, refusal: see `translate`.
+        camera, frame, resolution, fog, lights, light_scale, refusal: see `translate`.
         before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
 
     Attributes:
@@ -65,13 +65,12 @@ class Exchange:
         fog: Fog | None = None,
         lights: str = "auto",
         light_scale: float = 1.0,
-        sun_lux: float | None = None,
         refusal: Refusal | None = None,
         rig: Sequence[str] = (),
         before: Exchange | None = None,
     ) -> None:
         self._camera, self._frame, self._resolution = camera, frame, resolution
-        light: dict[str, Any] = {"lights": lights, "light_scale": light_scale, "sun_lux": sun_lux, "refusal": refusal}
+        light: dict[str, Any] = {"lights": lights, "light_scale": light_scale, "refusal": refusal}
         self._made = TakenOver() if before is None else before._made
         self.scene, boundaries, seen = with_boundaries(
             stage, camera=camera, frame=frame, resolution=resolution, fog=fog, **light, made=self._made

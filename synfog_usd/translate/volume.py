@@ -413,8 +413,7 @@ def _medium(
     if values["angstrom"] != 0.0:
         notes.info(
             attributes.path,
-            "its Angstrom exponent shows in wavelength bands (--bands 8, 16 or 31); R, G and B all get the extinction "
-            "at 550 nm",
+            "its Angstrom exponent shows in 8, 16 or 31 wavelength bands; R, G and B all get the extinction at 550 nm",
         )
     profile: Any = values["profile"] if grid is None else "grid"
     if grid is not None:

@@ -302,11 +302,11 @@ def run(words, *, cwd):
 def commands(folder, file):
     """(name, words) of every command that takes a stage."""
     me = [sys.executable, "-m", "synfog_usd.cli.main"]
-    small = ["--resolution", "64x36", "--samples", "2", "--quiet", "-o", str(folder / "out")]
+    small = ["--resolution", "64x36", "--samples", "2", "-o", str(folder / "out")]
     yield "check", [*me, "check", file]
     yield "check --fix", [*me, "check", file, "--fix", str(folder / "mended.usda")]
     yield "bake", [*me, "bake", file, *small, "--quality", "reference"]
-    yield "preview", [*me, "preview", file, *small, "--terminal", "none"]
+    yield "preview", [*me, "preview", file, *small]
 
 
 def main():

@@ -222,7 +222,7 @@ def test_a_bake_draws_each_exposure_at_its_own_time(tmp_path):
         }
         """
     )
-    small = ("--resolution", "64x36", "--samples", "64", "--frame", "0")
+    small = ("--resolution", "64x36", "--samples", "64", "--frames", "0")
     done = cli.run("bake", tmp_path / "stage.usda", "-o", tmp_path / "out", "--pipeline", "staggered_hdr", *small)
     assert done.returncode == 0, done.stderr
     (folder,) = {path.parent for path in (tmp_path / "out").rglob("radiance.exr")}

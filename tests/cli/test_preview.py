@@ -1,46 +1,13 @@
-"""`synfog-usd preview`: what it leaves, what it shows in which terminal, and that it draws again on each save."""
+"""`synfog-usd preview`: what it leaves, and that it draws again on each save."""
 
 import json
-import os
 import signal
 import subprocess
 
-import numpy as np
 import pytest
 from PIL import Image
 from support.cli import command, run
 from support.stages import street
-
-from synfog_usd.cli import terminal
-
-RAMP = np.stack(np.meshgrid(np.arange(0, 250, 10), np.arange(0, 130, 10)), axis=-1)
-PICTURE = Image.fromarray(np.concatenate([RAMP, 255 - RAMP[..., :1]], axis=-1).astype(np.uint8))  # 25 x 13
-
-
-@pytest.mark.parametrize(
-    "environment, found",
-    [
-        ({"TERM": "xterm-256color", "COLORTERM": "truecolor"}, "colours"),
-        ({"TERM": "screen-256color"}, "256"),
-        ({"TERM": "xterm-256color", "NO_COLOR": "1"}, "none"),
-        ({"TERM": "dumb", "COLORTERM": "truecolor"}, "none"),
-    ],
-)
-def test_the_variables_of_a_terminal_say_what_it_can(environment, found):
-    openpty = pytest.importorskip("pty").openpty
-    ours, theirs = openpty()
-    try:
-        assert terminal.kind(environment, target=theirs) == found
-    finally:
-        os.close(ours)
-        os.close(theirs)
-
-
-def test_what_is_no_terminal_gets_no_picture(tmp_path):
-    """A pipe and a file are `none`, whatever the environment says."""
-    with (tmp_path / "file").open("wb") as file:
-        assert terminal.kind({"TERM": "xterm", "COLORTERM": "truecolor"}, target=file.fileno()) == "none"
-    assert terminal.as_text(PICTURE, "none", 80) == ""
 
 
 @pytest.fixture(scope="module")
@@ -57,27 +24,14 @@ def small(stage, out, *more):
 
 
 def test_a_preview_is_a_small_denoised_bake(stage, tmp_path):
-    """The picture has the size that was asked for, it is denoised, and the terminal gets it where that is asked for."""
-    done = run(*small(stage, tmp_path / "out", "--terminal", "colours"))
+    """The picture has the size that was asked for, it is denoised, and has no labels."""
+    done = run(*small(stage, tmp_path / "out"))
     assert done.returncode == 0, done.stderr
     row = json.loads((tmp_path / "out" / "bake.json").read_text())["shots"][0]
     with Image.open(tmp_path / "out" / "sky" / "mor150" / "srgb.png") as picture:
         assert picture.size == (32, 18) and row["denoised"]
-        assert terminal.blocks(picture.convert("RGB"), 80) in done.stdout
     assert "1 pictures in" in done.stdout and (tmp_path / "out" / "contact.png").is_file()
     assert not list((tmp_path / "out").glob("labels*"))
-
-
-def test_a_pipe_gets_no_picture(stage, tmp_path):
-    """One line of what lies where, without control sequences."""
-    done = run(*small(stage, tmp_path / "out"))
-    assert done.returncode == 0 and "\x1b" not in done.stdout and done.stdout.count("\n") == 1
-
-
-def test_wrong_words_are_refused(stage, tmp_path):
-    """Before anything is written."""
-    done = run(*small(stage, tmp_path / "out", "--terminal", "braille"))
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from synfog_usd import camera
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import writers
-from synfog_usd.dataset import bake, labels
+from synfog_usd.dataset import labels, shot_files
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.scene import Camera, Instance, SceneDict
@@ -111,7 +111,9 @@ def test_another_program_finds_the_mattes_in_the_file(aovs, tmp_path):
     """
     import OpenImageIO
 
-    bake._write_labels(aovs, SceneDict({}, None, instances=INSTANCES), BakePlan(tmp_path / "street.usda", tmp_path))
+    shot_files.write_labels(
+        aovs, SceneDict({}, None, instances=INSTANCES), BakePlan(tmp_path / "street.usda", tmp_path)
+    )
     source = OpenImageIO.ImageInput.open(str(tmp_path / "labels.exr"))
     header = {item.name: item.value for item in source.spec().extra_attribs}
     channels = list(source.spec().channelnames)
@@ -192,7 +194,7 @@ def baked(tmp_path, monkeypatch):
     (tmp_path / "g.yaml").write_text(DISTORTED)
     graph = camera.load_graph(tmp_path / "g.yaml")
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)
-    bake._write_labels(
+    shot_files.write_labels(
         seen, SceneDict({}, view, instances=INSTANCES), BakePlan(tmp_path / "street.usda", tmp_path), graph
     )
     radiance = Image(

@@ -27,7 +27,8 @@ def test_all_lightings_in_all_fogs_unless_asked():
         "active/mor150",
     ]
     assert all(
-        (shot.lighting_variant, shot.fog_variant, shot.asked) == (shot.lighting, shot.fog, None) for shot in found
+        (shot.lighting_variant, shot.fog_variant, shot.fog_override) == (shot.lighting, shot.fog, None)
+        for shot in found
     )
 
 
@@ -54,15 +55,17 @@ def test_any_visibility_can_be_asked_for_by_its_metres(name, metres):
     fog selected.
     """
     (shot,) = planned(lighting=("sky",), fog=(name,))
-    assert (shot.fog, shot.fog_variant, shot.asked) == (name, None, Fog(metres)) if metres else (name, name, None)
+    assert (
+        (shot.fog, shot.fog_variant, shot.fog_override) == (name, None, Fog(metres)) if metres else (name, name, None)
+    )
 
 
 def test_clear_air_needs_no_variant():
     """Infinite visibility where the stage has no variant of that name; the variant where it has one."""
     (bare,) = planned({}, fog=("clear",))
-    assert bare.fog_variant is None and bare.asked.clear and bare.folder == "authored/clear"
+    assert bare.fog_variant is None and bare.fog_override.clear and bare.folder == "authored/clear"
     (variant,) = planned(fog=("clear",), lighting=("sky",))
-    assert variant.fog_variant == "clear" and variant.asked is None
+    assert variant.fog_variant == "clear" and variant.fog_override is None
 
 
 @pytest.mark.parametrize("name", ["mor0", "mor15O", "fog", "morinf"])

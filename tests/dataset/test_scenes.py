@@ -26,7 +26,7 @@ def test_a_lens_that_distorts_is_rendered_for_wider_and_denser(tmp_path):
     made, todo = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("dashcam")), fog=("clear", "mor600"))
     plain, _ = scenes(tmp_path, street(lamp=True), camera.load_graph(Path("phone")), fog=("clear", "mor600"))
     wide, narrow = made.of(todo[0]).camera, plain.of(todo[0]).camera
-    assert (narrow.width_px, narrow.height_px) == (32, 18) and plain.taken is None
+    assert (narrow.width_px, narrow.height_px) == (32, 18) and plain.sensor is None
     assert wide.width_px > 64 and wide.height_px > 36 and wide.fov_x_deg > narrow.fov_x_deg
-    assert made.taken == (18, 32, narrow.fov_x_deg, narrow.shift)
+    assert made.sensor == (18, 32, narrow.fov_x_deg, narrow.shift)
     assert len({id(made.of(shot).world) for shot in todo if shot.lighting == todo[0].lighting}) == 1

@@ -16,11 +16,12 @@ from synfog_usd.base import resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.seeds import frame_seed, seed32
 from synfog_usd.camera.writers import video
+from synfog_usd.dataset.job import job_of
 from synfog_usd.dataset.plan import frame_codes
 
 OPTIONS = (
     *("--frames", "0:3", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
-    *("--samples", "4", "--quality", "reference", "--json"),
+    *("--samples", "4", "--quality", "reference"),
 )
 STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
 
@@ -35,7 +36,7 @@ def clip(tmp_path_factory):
     (folder / "street.usda").write_text(text)
     done = run("bake", folder / "street.usda", "-o", folder / "out", *OPTIONS)
     assert done.returncode == 0, done.stderr
-    return folder / "out", json.loads(done.stdout)
+    return folder / "out", json.loads((folder / "out" / "sequence.json").read_text())
 
 
 def exposures(found):
@@ -97,7 +98,7 @@ def test_it_goes_on_where_it_stopped(clip):
     lost.unlink()
     done = run("bake", out.parent / "street.usda", "-o", out, *OPTIONS)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == found
+    assert json.loads((out / "sequence.json").read_text()) == found
     assert lost.read_bytes() == before
     assert (out / "000001" / "sky" / "clear" / "raw.dng").stat().st_mtime_ns == kept
 
@@ -123,16 +124,17 @@ def test_a_frames_noise_goes_by_its_time_code():
     assert len({*first, *second}) == len(first) + len(second)
 
 
-@pytest.mark.parametrize("text", ["3", "0:5x0", "0:99999999", "a:b"])
+@pytest.mark.parametrize("text", ["three", "0:5x0", "0:99999999", "a:b"])
 def test_frames_that_make_no_sense_are_refused(text):
     with pytest.raises(ParameterError, match="--frames"):
         frame_codes(text)
 
 
-def test_frames_beside_a_frame_are_refused(tmp_path):
-    done = run("bake", tmp_path / "no.usda", "--frame", "1", "--frames", "0:2")
-    assert done.returncode == 2
-    assert "either one time code or several" in done.stderr
+def test_frames_beside_a_frame_are_refused_and_one_code_is_no_sequence():
+    with pytest.raises(ParameterError, match="either one time code or several"):
+        job_of("no.usda", frame=1, frames="0:2")
+    job = job_of("no.usda", frames="12")
+    assert job.codes is None and job.plan.frame == 12.0
 
 
 @pytest.mark.slow

@@ -122,7 +122,7 @@ def test_the_command_line_has_camera_frame_and_chosen_variants(plugin, stage):
         stage.GetPrimAtPath("/World").GetVariantSet("fog").SetVariantSelection("mor600")
     line = plugin.words("bake", stage, "/World/Ego", Usd.TimeCode(12))
     assert line[:4] == ["bake", stage.GetRootLayer().realPath, "--camera", "/World/Ego"]
-    assert line[6:] == ["--frame", "12", "--fog", "mor600", "--lighting", "sky", "--choose=/World/Wall:paint=red"]
+    assert line[6:] == ["--frames", "12", "--fog", "mor600", "--lighting", "sky", "--choose=/World/Wall:paint=red"]
 
 
 @pytest.mark.parametrize("what", ["no tool", "no file", "no camera"])

@@ -188,30 +188,6 @@ def test_kitti_has_the_devkits_columns(baked, exported):
         np.testing.assert_allclose(depth[finite] / 256.0, baked.seen.depth_m[finite], atol=0.5 / 256 + 1e-3)
 
 
-@pytest.mark.slow
-def test_torchvision_reads_kitti(baked, exported, tmp_path):
-    """torchvision.datasets.Kitti on the split's folder: names, boxes, sizes and places of every thing that is kept."""
-    datasets = library("torchvision.datasets")
-    (tmp_path / "Kitti" / "raw").mkdir(parents=True)
-    (tmp_path / "Kitti" / "raw" / "training").symlink_to(exported("kitti") / "all")
-    found = datasets.Kitti(str(tmp_path))
-    names = [line.split()[1] for line in (exported("kitti") / "all" / "names.txt").read_text().splitlines()]
-    assert len(found) == len(names) == 3
-    order = sorted(range(3), key=lambda index: found.images[index])  # it takes them as the folder has them
-    for index, name in zip(order, names, strict=True):
-        picture, told = found[index]
-        expected = kept(baked, next(fog for fog in baked.left if f"-{fog}-" in name))
-        assert picture.size == (192, 108)
-        things = [one for one in told if one["type"] != "DontCare"]
-        assert len(things) == len(expected)
-        for one, (row, _) in zip(things, expected, strict=True):
-            np.testing.assert_allclose(one["bbox"], taxonomy.corners(row["amodal_box_px"]), atol=0.005)
-            size, height = row["box_3d"]["size_m"], one["dimensions"][0]
-            np.testing.assert_allclose(sorted(one["dimensions"]), sorted(size), atol=0.006)
-            centre = np.array(one["location"]) - [0.0, height / 2, 0.0]
-            np.testing.assert_allclose(centre, row["box_3d"]["centre_camera_m"], atol=0.011)
-
-
 def calibration(path):
     return {
         line.partition(":")[0]: np.array(line.partition(":")[2].split(), dtype=float)
@@ -237,21 +213,6 @@ def test_yolo_is_laid_out_as_ultralytics_documents_it(baked, exported):
             assert data["names"][int(kind)] == row["label"]
             left, top = (x - width / 2) * 192, (y - height / 2) * 108
             np.testing.assert_allclose([left, top, width * 192, height * 108], row["box_px"], atol=1e-3)
-
-
-@pytest.mark.slow
-def test_ultralytics_reads_yolo(baked, exported):
-    """Its own check of data.yaml, then its dataset, which refuses what is no label: every class and box."""
-    data = library("ultralytics.data.utils").check_det_dataset(str(exported("yolo") / "data.yaml"), autodownload=False)
-    found = library("ultralytics.data.dataset").YOLODataset(img_path=data["train"], data=data, augment=False)
-    assert len(found) == 3
-    for one in found.labels:
-        expected = kept(baked, next(fog for fog in baked.left if f"-{fog}-" in one["im_file"]))
-        assert one["shape"] == (108, 192) and one["normalized"] and one["bbox_format"] == "xywh"
-        assert [data["names"][int(kind)] for kind in one["cls"][:, 0]] == [row["label"] for row, _ in expected]
-        x, y, width, height = (one["bboxes"] * [192, 108, 192, 108]).T
-        boxes = np.c_[x - width / 2, y - height / 2, width, height]
-        np.testing.assert_allclose(boxes, [row["box_px"] for row, _ in expected], atol=1e-2)
 
 
 def test_cityscapes_own_scripts_evaluate_it(baked, exported, monkeypatch):

@@ -320,8 +320,8 @@ def test_any_damaged_graph_is_loaded_or_told(tmp_path_factory, damage):
         assert damage and "graph.yaml" in str(error)
 
 
-OPTIONS = """--resolution --samples --target-error --bands --frame --fog --lighting --camera --choose
-    --sun-lux --light-scale -o --seed
+OPTIONS = """--resolution --samples --frames --fog --lighting --camera --choose
+    --light-scale -o --seed
     --variant --pipeline --allow --no-such -- -q"""
 NUMBERS = "0 -1 nan inf 1e999 10x10 1000000000x1 a,b , / .. mor0"
 ODD = ["", " ", "\u00e9", "\n", *NUMBERS.split()]

@@ -718,7 +718,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_one_line(tmp_path, name):
     """400 million equal numbers in 0.4 MB; made in a child, since what is started shows its parent's memory."""
     path = tmp_path / "a.usdc"
     subprocess.run([sys.executable, "-c", BOMB, path, name], check=True)
-    promised("bake", path, "-o", tmp_path / "out", "--resolution", "16x9", "--samples", "2", "--quiet")
+    promised("bake", path, "-o", tmp_path / "out", "--resolution", "16x9", "--samples", "2")
 
 
 MESH = """def Mesh "Quad"

@@ -94,11 +94,11 @@ WALKERS = (
 
 
 def bake(stage, out, *more, size="160x90", samples=8):
-    """Bake through the command line; gives the manifest that it prints."""
-    words = ["bake", stage, "-o", out, "--resolution", size, "--samples", samples, "--json", "--allow", REAL, *more]
+    """Bake through the command line; gives its manifest."""
+    words = ["bake", stage, "-o", out, "--resolution", size, "--samples", samples, "--allow", REAL, *more]
     done = cli.run(*words)
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return json.loads((Path(out) / "bake.json").read_text())
 
 
 def layers_of(out, shot):
@@ -162,7 +162,7 @@ def parked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parked")
     stage = folder / "parked.usda"
     stage.write_text(parked_stage())
-    return folder / "out", bake(stage, folder / "out", "--frame", 1)
+    return folder / "out", bake(stage, folder / "out", "--frames", 1)
 
 
 def parked_stage():
@@ -360,7 +360,7 @@ def test_blenders_street_bakes_with_the_two_warnings_that_are_due(exported):
     assert_whole(out, "authored/mor300")
     told = dict(warnings_of(printed))
     assert set(told) == {"/root/Bank/Bank", "/root/Sun/Sun"} and "Volume is not drawn" in told["/root/Bank/Bank"]
-    assert "which is night" in told["/root/Sun/Sun"] and "--sun-lux 80000" in told["/root/Sun/Sun"]
+    assert "which is night" in told["/root/Sun/Sun"] and "--light-scale 30000" in told["/root/Sun/Sun"]
     assert printed["shots"][0]["mor_m"] == 300
 
 

@@ -4,10 +4,11 @@ python -m pytest -m gpu
 """
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
-from support.cli import process
 from support.stages import street
 from support.stats import assert_agree
 
@@ -40,20 +41,10 @@ def test_a_bake_there_has_the_light_of_the_processor(cuda, tmp_path, fog):
         means.append([])
         for seed in range(4):
             out = tmp_path / f"{variant}{seed}"
-            words = [
-                "--variant",
-                variant,
-                "--seed",
-                seed,
-                "--resolution",
-                SIZE,
-                "--samples",
-                256,
-                "--quality",
-                "reference",
-            ]
-            done = process("bake", tmp_path / "street.usda", "-o", out, "--lighting", "sky", "--fog", fog, *words)
-            assert done.returncode == 0, done.stderr
+            options = {"variant": variant, "seed": seed, "resolution": SIZE, "samples": 256, "quality": "reference"}
+            words = f"'street.usda', {str(out)!r}, lighting='sky', fog={fog!r}, **{options}"
+            script = f"import synfog_usd as sf; sf.bake({words})"
+            subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=300)
             assert json.loads((out / "bake.json").read_text())["plan"]["variant"].startswith(variant)
             radiance = writers.read_exr(out / "sky" / fog / "radiance.exr", quantity=Quantity.RADIANCE)
             means[-1].append(radiance.pixels.mean())

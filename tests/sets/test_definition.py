@@ -93,10 +93,6 @@ def test_paths_start_from_the_file_that_names_them(tmp_path):
             r"own.yaml:5:12: pipelines after the first are metered on the clear frame",
         ),
         (
-            "scenes: 4\nrecipes: [tunnel]\nquality: {samples: 8, denoise: 1}",
-            r"own.yaml:4:23: quality takes no 'denoise' any more: word: reference is neither denoised nor regular",
-        ),
-        (
             "scenes: 4\nrecipes: [tunnel]\nsplits: {test: {models: [bus]}}",
             r"own.yaml:4:16: splits: test has no 'share'",
         ),

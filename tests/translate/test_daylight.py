@@ -7,7 +7,6 @@ import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdLux
 from support.looks import fill, write
 
-from synfog_usd.base.errors import ParameterError
 from synfog_usd.translate import outdoors, translate, why_black
 
 
@@ -88,11 +87,11 @@ def test_a_day_that_would_come_out_as_night_is_told_with_the_option(empty, lux, 
     sun(stage, lux, name=name)
     lines = told(translate(stage), "which is night")
     assert len(lines) == warned
-    assert not warned or ("3 lux on open ground" in lines[0] and "--sun-lux 80000" in lines[0])
+    assert not warned or ("3 lux on open ground" in lines[0] and "--light-scale 30000" in lines[0])
 
 
 def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
-    """Sun, sky, a lamp, a point and a glowing mesh: each number times 2.5; or by what the sun lacks."""
+    """Sun, sky, a lamp, a point and a glowing mesh: each number times 2.5."""
     stage = empty()
     sun(stage, 4.0)
     sky(stage, 2.0)
@@ -109,20 +108,8 @@ def test_all_lights_are_multiplied_alike(empty, polygon_mesh):
     plain = numbers(translate(stage))
     assert len(plain) == 5
     np.testing.assert_allclose(numbers(translate(stage, light_scale=2.5)), 2.5 * plain, rtol=1e-12)
-    bright = translate(stage, sun_lux=80_000.0)
-    np.testing.assert_allclose(
-        numbers(bright), 20_000.0 * plain, rtol=1e-6
-    )  # the weights of R, G and B add up to 1.0000001
+    bright = translate(stage, light_scale=20_000.0)
     assert told(bright, "night") == [] and "all lights are multiplied by 20000" in [note.text for note in bright.notes]
-
-
-def test_lux_are_not_asked_of_a_sun_that_is_not_there(empty):
-    stage = empty()
-    sky(stage, 1.0)
-    with pytest.raises(
-        ParameterError, match=r"--sun-lux 80000: the stage has no distant light.*--light-scale 6000 makes it noon"
-    ):
-        translate(stage, sun_lux=80_000.0)
 
 
 def cube(stage, path, place, size):

@@ -6,7 +6,7 @@ A city is a source in one lighting and fog; the sequence is the scene, the frame
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -118,7 +118,7 @@ def disparity(depth_m: np.ndarray, fx_px: float, baseline_m: float) -> np.ndarra
     return np.where(valid, np.clip(np.rint(steps), 1.0, 65535.0), 0.0).astype(np.uint16)
 
 
-def _camera(camera: Any, baseline_m: float) -> dict[str, Any]:
+def _camera(camera: Mapping[str, Any], baseline_m: float) -> dict[str, Any]:
     matrix = camera.get("camera_matrix_px", [[0.0] * 3] * 3)
     pose = np.array(camera["camera_to_world"])
     right, _, forward = pose[:3, 0], pose[:3, 1], pose[:3, 2]

@@ -76,7 +76,7 @@ def _write_split(
                     "synfog": {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes},
                 }
             )
-            for row in taxonomy.things(picture, chosen):
+            for row in taxonomy.objects(picture, chosen):
                 number += 1
                 text = json.dumps(_annotation(number, len(images), row, labels.mask(row["id"])), allow_nan=False)
                 handle.write((",\n" if number > 1 else "\n") + text)

@@ -92,7 +92,7 @@ def build(out: Path, target: Path, *, progress: Progress = silent) -> int:
 
 def row_of(picture: LabelledPicture, view: int) -> dict[str, Any]:
     """What the index knows of a picture."""
-    classes = sorted({row["label"] for row in taxonomy.things(picture)})
+    classes = sorted({row["label"] for row in taxonomy.objects(picture)})
     values = {name: getattr(picture, name) for name in OF_TEXT}
     mor = None if picture.clear else picture.mor_m
     return {"name": picture.name, "scene": picture.scene, **values, "mor_m": mor, "classes": classes, "view": view}

@@ -7,6 +7,7 @@ fog leaves, one entry for each thing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             folder.png(f"{stem}_depth.png", quantised(labels.depth_m, STEPS_PER_M))
             folder.png(f"{stem}_id.png", np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16))
             folder.png(f"{stem}_class.png", labels.semantic.astype(np.uint8))
-            boxed = list(taxonomy.things(picture, chosen))
+            boxed = list(taxonomy.objects(picture, chosen))
             camera = labels.camera
             yield {
                 "file_name": name,
@@ -54,7 +55,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
 
     for split in dict.fromkeys(picture.split for picture in pictures()):
 
-        def fill(temporary: Any, split: str = split) -> None:
+        def fill(temporary: Path, split: str = split) -> None:
             with temporary.open("w", encoding="utf-8") as handle:
                 for row in rows(split):
                     handle.write(jsonl([row]))

@@ -9,7 +9,7 @@ the left camera, P1 and P3 its right eye, or the same where there is none; a lid
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         folder.place(picture.screen, f"{picture.split}/image_2/{stem}{picture.screen.suffix}")
         rows = [
             _row(row, MISC if row.get("visibility") not in chosen.drop else "DontCare")
-            for row in taxonomy.things(picture, Boxed(classes=chosen.classes))
+            for row in taxonomy.objects(picture, Boxed(classes=chosen.classes))
         ]
         folder.text(f"{picture.split}/label_2/{stem}.txt", "".join(rows))
         baseline_m = labels.metadata["stereo"]["baseline_m"] if right else 0.0
@@ -116,7 +116,7 @@ def _wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _calibration(camera: Any, baseline_m: float) -> str:
+def _calibration(camera: Mapping[str, Any], baseline_m: float) -> str:
     matrix = np.array(camera.get("camera_matrix_px", np.eye(3)))
     places = [[0.0, 0.0, 0.0], [-baseline_m, 0.0, 0.0]]
     eyes = [" ".join(f"{value:.12e}" for value in np.c_[matrix, matrix @ np.array(place)].ravel()) for place in places]

@@ -68,8 +68,8 @@ class Exporter:
 
 
 EXPORTERS = {
-    one.name: one
-    for one in (
+    form.name: form
+    for form in (
         Exporter(
             "coco",
             "Boxes and masks of things, with amodal ones and what fog leaves of them under the key `synfog`.",

@@ -28,12 +28,12 @@ class Census:
     """What an export holds, counted while its table is written.
 
     Attributes:
-        pictures, scenes, things, dropped: counts.
+        pictures, scenes, boxes, dropped: counts.
         splits, fogs, lightings, sources, classes, visibilities: name -> how many pictures, or things.
     """
 
     pictures: int = 0
-    things: int = 0
+    boxes: int = 0
     dropped: int = 0
 
     def __post_init__(self) -> None:
@@ -50,14 +50,14 @@ class Census:
         self.sources[picture.source] += 1
         self.scenes.setdefault(picture.split, set()).add(picture.scene)
         boxed = 0
-        for row in taxonomy.things(picture, Boxed(classes=chosen.classes)):
+        for row in taxonomy.objects(picture, Boxed(classes=chosen.classes)):
             self.visibilities[row.get("visibility") or "unknown"] += 1
             if row.get("visibility") in chosen.drop:
                 self.dropped += 1
             else:
                 self.classes[row["label"]] += 1
                 boxed += 1
-        self.things += boxed
+        self.boxes += boxed
         return boxed
 
 
@@ -156,7 +156,7 @@ def card(
         f"| sources | {_counts(census.sources)} |",
         f"| lightings | {_counts(census.lightings)} |",
         f"| fogs | {_counts(census.fogs)} |",
-        f"| boxes | {census.things} ({_counts(census.classes)}) |",
+        f"| boxes | {census.boxes} ({_counts(census.classes)}) |",
         f"| what fog and noise leave of things | {_counts(census.visibilities)} |",
         f"| without a box | {census.dropped} things ({gone}) |",
         f"| depth | {exporter.depth or 'none'} |",

@@ -1,8 +1,7 @@
-"""One page of figures of a set: what is in it, how far, how hidden, how bright, how large; beside published ones."""
+"""Figures of a set: what is in it, how far, how hidden, how bright, how large; beside published ones."""
 
 from __future__ import annotations
 
-import html
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base import cityscapes, files, photometry
+from synfog_usd.base import cityscapes, photometry
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.exports import taxonomy
@@ -67,7 +66,7 @@ class Figures:
 
     Attributes:
         pictures, scenes: how many.
-        things: class -> (state of visibility -> how many), over all pictures.
+        objects: class -> (state of visibility -> how many), over all pictures.
         distances, shares: upper end [m], or of the visible share -> (state -> how many).
         fogs: name -> (state -> how many).
         fog_m: name of a fog -> its MOR [m], None in clear air.
@@ -79,7 +78,7 @@ class Figures:
     pictures: int = 0
     scenes: set[int] = field(default_factory=set)
     splits: Counter[str] = field(default_factory=Counter)
-    things: dict[str, Counter[str]] = field(default_factory=dict)
+    objects: dict[str, Counter[str]] = field(default_factory=dict)
     distances: dict[str, Counter[str]] = field(default_factory=dict)
     shares: dict[str, Counter[str]] = field(default_factory=dict)
     fogs: dict[str, Counter[str]] = field(default_factory=dict)
@@ -90,7 +89,7 @@ class Figures:
 
     def a_picture(self, classes: Sequence[str], states: Iterable[str] = STATES) -> float:
         """Mean count of some classes in a picture."""
-        total = sum(self.things.get(name, Counter())[state] for name in classes for state in states)
+        total = sum(self.objects.get(name, Counter())[state] for name in classes for state in states)
         return total / max(self.pictures, 1)
 
     def share(self, name: str) -> float:
@@ -105,7 +104,7 @@ class Figures:
             "splits": dict(self.splits),
             "humans_a_picture": round(self.a_picture(HUMANS), 4),
             "vehicles_a_picture": round(self.a_picture(VEHICLES), 4),
-            "things": {name: dict(states) for name, states in sorted(self.things.items())},
+            "things": {name: dict(states) for name, states in sorted(self.objects.items())},
             "distances_m": {name: dict(states) for name, states in self.distances.items()},
             "visible_shares": {name: dict(states) for name, states in self.shares.items()},
             "fogs": {name: {"mor_m": self.fog_m[name], **states} for name, states in self.fogs.items()},
@@ -162,9 +161,9 @@ def _count(figures: Figures, picture: LabelledPicture) -> None:
     figures.splits[picture.split] += 1
     figures.fog_m[picture.fog] = None if picture.clear else picture.mor_m
     of_fog = figures.fogs.setdefault(picture.fog, Counter())
-    for row in taxonomy.things(picture):
+    for row in taxonomy.objects(picture):
         state = row.get("visibility") or "not told"
-        figures.things.setdefault(row["label"], Counter())[state] += 1
+        figures.objects.setdefault(row["label"], Counter())[state] += 1
         end = next((f"to {end} m" for end in DISTANCES_M if row["distance_m"] <= end), f"beyond {DISTANCES_M[-1]} m")
         figures.distances[end][state] += 1
         share = next(f"to {end:.0%}" for end in SHARES if row.get("visible_share", 1.0) <= end)
@@ -182,62 +181,40 @@ def _light(picture: LabelledPicture) -> tuple[float, float, float, float]:
     return mean, float(middle), float(low), float(high)
 
 
-def write(figures: Figures, path: Path, *, title: str) -> None:
-    """Write the page: HTML without scripts or other files."""
-    files.write_bytes(path, page(figures, title).encode())
-
-
-def page(figures: Figures, title: str) -> str:
-    """The page's text."""
-    total = sum(sum(states.values()) for states in figures.things.values())
-    parts = [
-        "<!DOCTYPE html>",
-        f'<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<style>{STYLE}</style></head><body>",
-        f"<h1>{html.escape(title)}</h1>",
-        f"<p>{figures.pictures} pictures of {len(figures.scenes)} scene{'' if len(figures.scenes) == 1 else 's'} "
-        f"({', '.join(f'{html.escape(name)} {n}' for name, n in figures.splits.items())}); {total} things in them, "
-        f"counted in every picture; {_size(sum(figures.bytes.values()))} on disk.</p>",
-        "<h2>Beside published sets</h2>",
+def text(figures: Figures, title: str) -> str:
+    """The figures as tables of Markdown."""
+    groups = {
+        "class": figures.objects,
+        "fog": figures.fogs,
+        "distance of the nearest pixel": figures.distances,
+        "share of pixels that nothing hides": figures.shares,
+    }
+    total = 100.0 / sum(CITYSCAPES_PIXELS.values())
+    tables = [
         _beside_published(figures, title),
-        "<p>Annotators leave out what is small or far; a renderer does not. So counts here are higher for the same "
-        "street.</p>",
-        "<h2>Pixels by class</h2>",
         _table(
-            ["class", "here, %", "Cityscapes, %"],
-            [
-                [name, f"{figures.share(name):.2f}", f"{100.0 * share / sum(CITYSCAPES_PIXELS.values()):.2f}"]
-                for name, share in CITYSCAPES_PIXELS.items()
-            ],
+            ["class", "pixels here, %", "Cityscapes, %"],
+            [[name, f"{figures.share(name):.2f}", f"{share * total:.2f}"] for name, share in CITYSCAPES_PIXELS.items()],
         ),
-        "<p>Of what belongs to a class that is evaluated. Cityscapes: the fine training pictures, 2:1, which see less "
-        "sky than 16:9; counted by Birke (github.com/m-birke/automotive-segmentation-datasets).</p>",
-        f"<p class=legend>{' '.join(f'<span class={_slug(state)}>{state}</span>' for state in STATES)}</p>",
-        _bars("Things by class", figures.things),
-        _bars("Things by fog", figures.fogs),
-        _bars("Things by distance of their nearest pixel", figures.distances),
-        _bars("Things by share of their pixels that nothing stands before", figures.shares),
-        "<h2>Luminance</h2>",
+        *(
+            _table(
+                [f"things by {kind}", *STATES], [[name, *(str(row[state]) for state in STATES)] for name, row in group]
+            )
+            for kind, group in ((kind, rows.items()) for kind, rows in groups.items())
+        ),
         _table(
-            ["lighting", "fog", "shots", "geometric mean", "median", "1st percentile", "99th percentile"],
+            ["luminance [cd/m2], median over shots", "shots", "geometric mean", "median", "1 %", "99 %"],
             [
-                [lighting, fog, str(len(rows)), *(f"{value:.3g}" for value in np.median(rows, axis=0))]
+                [f"{lighting}, {fog}", str(len(rows)), *(f"{value:.3g}" for value in np.median(rows, axis=0))]
                 for (lighting, fog), rows in sorted(figures.luminance.items())
             ],
         ),
-        "<p>cd/m2, of each shot's radiance; the median over the shots.</p>",
-        "<h2>Size on disk</h2>",
         _table(
-            ["file", "size", "a picture"],
-            [
-                [name, _size(size), _size(size / figures.pictures)]
-                for name, size in sorted(figures.bytes.items(), key=lambda row: -row[1])
-            ],
+            ["file", "on disk", "a picture"],
+            [[name, _size(size), _size(size / figures.pictures)] for name, size in figures.bytes.most_common()],
         ),
-        "</body></html>\n",
     ]
-    return "\n".join(parts)
+    return "\n\n".join(tables)
 
 
 def _beside_published(figures: Figures, title: str) -> str:
@@ -249,34 +226,15 @@ def _beside_published(figures: Figures, title: str) -> str:
         ", ".join(fogs),
         f"{count(HUMANS):.1f} ({count(HUMANS, states):.1f} without invisible ones)",
         f"{count(VEHICLES):.1f} ({count(VEHICLES, states):.1f} without invisible ones)",
-        "counted here: every thing with a pixel",
+        "counted here: every thing with a pixel; annotators leave out what is small or far",
     ]
     heads = ["set", "pictures", "fogs", "humans a picture", "vehicles a picture", "source"]
     return _table(heads, [row, *([name, *numbers.values(), source] for name, numbers, source in PUBLISHED)])
 
 
-def _bars(title: str, groups: dict[str, Counter[str]]) -> str:
-    most = max((sum(states.values()) for states in groups.values()), default=0) or 1
-    rows = []
-    for name, states in groups.items():
-        bars = "".join(
-            f'<i class="{_slug(state)}" style="width:{100.0 * states[state] / most:.2f}%"></i>'
-            for state in STATES
-            if states[state]
-        )
-        words = ", ".join(f"{states[state]} {state}" for state in STATES if states[state])
-        rows.append(f"<tr><th>{html.escape(name)}</th><td class=bar>{bars}</td><td>{words or '0'}</td></tr>")
-    return f"<h2>{html.escape(title)}</h2><table class=bars>{''.join(rows)}</table>"
-
-
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in rows]
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    return f"<div class=wide><table><tr>{top}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table></div>"
-
-
-def _slug(state: str) -> str:
-    return state.replace(" ", "-")
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _size(count: float) -> str:
@@ -285,20 +243,3 @@ def _size(count: float) -> str:
             return f"{count:.3g} {unit}"
         count /= 1000.0
     return f"{count:.3g} TB"
-
-
-STYLE = """
-:root { color-scheme: light dark }
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 1.5rem auto; padding: 0 1rem }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums }
-td, th { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #8884 }
-.wide { overflow-x: auto }
-.bars { width: 100% } .bars th { font-weight: 400; white-space: nowrap } .bar { width: 60% }
-.bar i { display: inline-block; height: .9em }
-i.visible { background: #2f9e6e } i.faint { background: #e5a00d } i.invisible { background: #d6404a }
-i.not-told { background: #999 }
-.legend span { padding: .1rem .5rem; margin-right: .4rem; color: #fff; border-radius: 4px }
-.legend .visible { background: #24805a } .legend .faint { background: #94680a }
-.legend .invisible { background: #c22f3a }
-.legend .not-told { background: #666 }
-"""

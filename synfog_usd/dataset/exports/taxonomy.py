@@ -40,7 +40,7 @@ def class_names(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def things(picture: LabelledPicture, chosen: Boxed = EVERY) -> Iterator[dict[str, Any]]:
+def objects(picture: LabelledPicture, chosen: Boxed = EVERY) -> Iterator[dict[str, Any]]:
     """The instances of a picture that get boxes."""
     names = {kind.name for kind in kinds(chosen)}
     for row in picture.instances():

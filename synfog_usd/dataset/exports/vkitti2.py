@@ -82,7 +82,7 @@ def _write_rows(parts: dict[str, list[str]], frame: int, number: int, picture: L
     y_down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     to_camera = np.linalg.inv(y_down @ np.array(camera["camera_to_world"]))
     parts["extrinsic"].append(f"{frame} {number} " + " ".join(f"{value:.9g}" for value in to_camera.ravel()) + "\n")
-    for row in taxonomy.things(picture, chosen):
+    for row in taxonomy.objects(picture, chosen):
         x, y, right, bottom = taxonomy.corners(row["box_px"])
         track, moves = row["id"] - 1, row.get("speed_m_s", 0.0) > 0.0
         cut, share = row.get("truncation", 0.0), row.get("visible_share", 1.0)

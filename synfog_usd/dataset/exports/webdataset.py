@@ -90,7 +90,7 @@ def _fill(tar: tarfile.TarFile, shard: list[LabelledPicture], chosen: Boxed) -> 
         )
         keep += ("visible_share", "truncation", "pose", "box_3d", "velocity_m_s", "speed_m_s", "mean_transmittance")
         keep += ("contrast", "contrast_rms", "cnr", "visibility")
-        boxed = [{name: row[name] for name in keep if name in row} for row in taxonomy.things(picture, chosen)]
+        boxed = [{name: row[name] for name in keep if name in row} for row in taxonomy.objects(picture, chosen)]
         metadata = {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes, "instances": boxed}
         name = picture.name.replace(".", "_")
         ids = np.where(labels.instance < 65536, labels.instance, 0).astype(np.uint16)

@@ -19,7 +19,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         width, height = picture.labels.size_px
         folder.place(picture.screen, f"images/{picture.split}/{picture.name}{picture.screen.suffix}")
         lines = []
-        for row in taxonomy.things(picture, chosen):
+        for row in taxonomy.objects(picture, chosen):
             x, y, right, bottom = taxonomy.corners(row["box_px"])
             middle = f"{(x + right) / 2 / width:.6f} {(y + bottom) / 2 / height:.6f}"
             lines.append(f"{number[row['label']]} {middle} {(right - x) / width:.6f} {(bottom - y) / height:.6f}\n")

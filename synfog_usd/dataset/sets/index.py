@@ -27,6 +27,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from synfog_usd.base import files
@@ -205,7 +206,7 @@ def _picture(out: Path, row: Mapping[str, Any]) -> Picture:
     return Picture(**plain, bake=bake, shot=shot, files=paths)
 
 
-def _arrow() -> Any:
+def _arrow() -> ModuleType:
     try:
         import pyarrow
     except ImportError as error:
@@ -213,7 +214,7 @@ def _arrow() -> Any:
     return pyarrow
 
 
-def _parquet() -> Any:
+def _parquet() -> ModuleType:
     _arrow()
     import pyarrow.parquet
 

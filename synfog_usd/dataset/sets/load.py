@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from synfog_usd.base import numbers, resources, yamlio
 from synfog_usd.base.errors import ParameterError, RecipeError, SetError, SynfogError, did_you_mean
@@ -28,6 +28,8 @@ from synfog_usd.world.language import (
     mapping,
     read_distribution,
 )
+
+Read = TypeVar("Read")
 
 SCHEMA = "set/1"
 SECTIONS = (
@@ -52,8 +54,6 @@ SECTIONS = (
     "splits",
 )
 QUALITY = ("word", "model", "samples", "target_error", "bands")
-NO_LONGER = ("denoise", "regularize", "time_limit", "cull")
-"""Keys that quality once had."""
 EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
 """Key of a set's exposure -> what `BakePlan` calls it."""
 HELD_OUT = ("models", "recipes", "skies")
@@ -107,13 +107,14 @@ class _SetReader:
         """The whole file."""
         items = self.extended(root, 0)
 
-        def of(section: str, reader: Callable[[Located], Any], otherwise: object) -> Any:
+        def of(section: str, reader: Callable[[Located], Read], otherwise: Read) -> Read:
             return reader(items[section]) if section in items else otherwise
 
         scenes = of("scenes", lambda item: whole(item, "scenes", 1, MOST_SCENES), None)
         if scenes is None:
             raise SetError(f"{root.place}: the set has no 'scenes'; it takes how many there are, as in scenes: 100")
-        sources = (*of("recipes", self.recipes, ()), *of("stages", self.stages, ()))
+        none: tuple[Source, ...] = ()
+        sources = (*of("recipes", self.recipes, none), *of("stages", self.stages, none))
         if not sources:
             raise SetError(f"{root.place}: the set has neither 'recipes' nor 'stages' to draw from")
         definition = SetDefinition(
@@ -282,13 +283,6 @@ class _SetReader:
     def quality(self, item: Located) -> dict[str, Any]:
         if isinstance(item.value, str):
             return {"quality": self.quality_word(item)}
-        for key in NO_LONGER:
-            if isinstance(item.value, dict) and key in item.value:
-                raise SetError(
-                    f"{item.value[key].key_place}: quality takes no {key!r} any more: word: reference is neither "
-                    f"denoised nor regularized, every other word is both; samples or target_error end a shot; all that "
-                    f"stands in fog is drawn"
-                )
         options: dict[str, Any] = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
         kinds: dict[str, tuple[type, str, Callable[[Any], None]]] = {
             "word": (str, "a word", lambda value: numbers.check_quality(value, "word")),
@@ -458,7 +452,7 @@ def _different(sources: Sequence[Source], item: Located) -> tuple[Source, ...]:
     return tuple(sources)
 
 
-def fixed(value: Any) -> Distribution:
+def fixed(value: str | float) -> Distribution:
     """Always the same value."""
     return Distribution("fixed", (value,))
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base import files
 from synfog_usd.base.errors import OutputError, ParameterError, SetError
@@ -29,6 +29,9 @@ from synfog_usd.dataset.sets.load import define_set, load_set
 from synfog_usd.dataset.sets.scenes import PlannedScene, scenes
 from synfog_usd.dataset.sets.unit import record, rows
 from synfog_usd.dataset.sets.work import CHILD, Child, Job, do
+
+if TYPE_CHECKING:
+    from distributed import Future
 
 TRIES = 3
 LOOK_S = 1.0
@@ -45,7 +48,6 @@ class RunPlan:
         child: how a unit's process is begun.
         workers: of this machine; one a GPU, or by its memory, where None.
         scheduler: address of a running one, or None.
-        batch: file of a batch system, or None.
         only: numbers of scenes, or None for all.
         budget_gb: size beyond which no unit is begun, or None.
         repair: whether finished units are looked at, and made again where a file was changed.
@@ -58,7 +60,6 @@ class RunPlan:
     child: Child = CHILD
     workers: int | None = None
     scheduler: str | None = None
-    batch: Path | None = None
     only: tuple[int, ...] | None = None
     budget_gb: float | None = None
     repair: bool = False
@@ -115,7 +116,6 @@ def numbers_of(text: str, count: int) -> tuple[int, ...]:
 OPTIONS: dict[str, Callable[[Any, str], Any]] = {
     "workers": count,
     "scheduler": word,
-    "batch": path_of,
     "budget_gb": number,
     "repair": switch,
     "retry": switch,
@@ -146,9 +146,9 @@ def make_set(
         only: scenes by number, as '17,40-60'.
         progress: called with how far it is and the fraction that is done.
         log: called with lines that tell what goes on.
-        options: workers (units at a time), scheduler (address of a Dask scheduler), batch (YAML of a batch system),
-            budget_gb (size beyond which nothing is begun), repair (look at every file, make changed ones again), retry
-            (take up what was set aside), limit_s (seconds of a unit), variant (of the renderer).
+        options: workers (units at a time); scheduler (address of a Dask scheduler); budget_gb (size beyond which
+            nothing is begun); repair (look at every file, make changed ones again); retry (take up what was set aside);
+            limit_s (seconds of a unit); variant (of the renderer).
 
     Returns:
         `made`, `kept` (numbers of units), `aside` (units that failed three times), `stopped` (why it ended before all
@@ -247,10 +247,7 @@ class _Maker:
             return
         with self.workers() as workers:
             self.total = sum(1 for _ in self.todo(quiet=True))
-            self.log(
-                f"{self.total} units of one scene in one lighting to make, {workers.count} at a time"
-                + (f"; dashboard at {workers.dashboard}" if workers.dashboard else "")
-            )
+            self.log(f"{self.total} units of one scene in one lighting to make, {workers.count} at a time")
             self.feed(workers, _chain(first, todo))
 
     def todo(self, quiet: bool = False) -> Iterator[Unit]:
@@ -270,9 +267,6 @@ class _Maker:
         plan = self.plan
         if plan.scheduler is not None:
             with cluster.joined(plan.scheduler) as client:
-                yield client
-        elif plan.batch is not None:
-            with cluster.batch(plan.batch) as client:
                 yield client
         else:
             self.gpus = cluster.gpus() if self.variant == "cuda" else ()
@@ -326,7 +320,7 @@ class _Maker:
         self.under_way[unit.name] = future
         future.add_done_callback(lambda ended: self.ended.put((unit, ended)))
 
-    def take(self, unit: Unit, future: Any, here: bool) -> Unit | None:
+    def take(self, unit: Unit, future: Future[Any], here: bool) -> Unit | None:
         """Write down how a unit ended; the unit itself where it is to be tried again."""
         result = self.result(future)
         if not here:  # else its worker's time is this process's
@@ -359,7 +353,7 @@ class _Maker:
         self.log(f"{unit.name} (seed {line['seed']}) is set aside after {TRIES} tries: {result['error']}")
         return None
 
-    def result(self, future: Any) -> dict[str, Any]:
+    def result(self, future: Future[Any]) -> dict[str, Any]:
         """What a worker says, or what became of it."""
         from distributed.scheduler import KilledWorker
 
@@ -368,7 +362,7 @@ class _Maker:
         if future.status in ("cancelled", "lost"):
             raise self.gone()
         try:
-            error = future.exception()
+            error = future.exception()  # type: ignore[no-untyped-call]
         except Exception as problem:
             raise self.gone() from problem
         if isinstance(error, KilledWorker):

@@ -209,7 +209,7 @@ def held_out(definition: SetDefinition, source: Source, split: Split) -> Recipe:
     if not gone:
         return recipe
 
-    def kept(distributions: Mapping[str, Distribution]) -> dict[str, Distribution]:
+    def without_held(distributions: Mapping[str, Distribution]) -> dict[str, Distribution]:
         return {
             name: _without(distribution, gone, f"{source.name}: {name}", split)
             for name, distribution in distributions.items()
@@ -217,8 +217,8 @@ def held_out(definition: SetDefinition, source: Source, split: Split) -> Recipe:
 
     return replace(
         recipe,
-        distributions=kept(recipe.distributions),
-        rows=tuple(replace(row, distributions=kept(row.distributions)) for row in recipe.rows),
+        distributions=without_held(recipe.distributions),
+        rows=tuple(replace(row, distributions=without_held(row.distributions)) for row in recipe.rows),
     )
 
 

@@ -231,9 +231,8 @@ def _developments(
 ) -> dict[str, dict[str, Any]]:
     """What else is made of the radiance: name -> shot -> exposure and outputs.
 
-    By each pipeline after the first; and by those that are named so of the clear frame in fog by the atmospheric
-    scattering model, L = J t + A (1 - t), with the exact transmittance t and an airlight A that is guessed from the
-    picture, see `fog.airlight`.
+    Each pipeline after the first develops it.  Those of `asm_estimated` develop the clear frame in fog by the
+    atmospheric scattering model, L = J t + A (1 - t): t is exact, A is guessed from the picture, see `fog.airlight`.
     """
     result = {}
     for path in definition.pipelines:

@@ -189,7 +189,7 @@ def find(source: Path, *, picture: str = PNG, split: str = "") -> list[FoggedVie
 
 
 def _things(picture: LabelledPicture) -> Iterator[LabelledThing]:
-    for row in taxonomy.things(picture):
+    for row in taxonomy.objects(picture):
         yield LabelledThing(
             row["id"],
             row["label"],

@@ -557,7 +557,7 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     )
     shot = shots(bake_plan, usd.variants(stage))[0]
     if plan.fog is None:
-        shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, asked=None)
+        shot = replace(shot, fog=AS_AUTHORED, fog_variant=None, fog_override=None)
     if plan.lighting is None:
         shot = replace(shot, lighting=AS_AUTHORED, lighting_variant=None)
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
@@ -566,7 +566,7 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
         stage,
         camera=plan.camera,
         resolution=plan.size,
-        fog=shot.asked,
+        fog=shot.fog_override,
         refusal=functools.partial(refusal, variant=plan.variant),  # type: ignore[arg-type]
     )
     return scene, named or "as authored"

@@ -121,8 +121,8 @@ class Bands:
         exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
         if len(exponents) > 1:
             raise ParameterError(
-                f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: --bands takes "
-                f"one; use --bands 3"
+                f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: wavelength bands "
+                f"take one; R, G and B take any"
             )
         if exponents and exponents != {0.0}:
             extinction = next(volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0).extinction_at(
