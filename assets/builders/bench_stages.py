@@ -185,30 +185,14 @@ def street_canyon() -> BenchStage:
     }
     rows = {
         1: (
-            "house_ochre",
-            "house_brick",
-            "house_rose",
-            "house_white",
-            "house_buff",
-            "house_grey",
-            "house_cream",
-            "house_brick",
-            "house_ochre",
-            "house_rose",
+            "house_ochre", "house_brick", "house_rose", "house_white", "house_buff", "house_grey", "house_cream",
+            "house_brick", "house_ochre", "house_rose",
         ),
         -1: (
-            "house_white",
-            "house_buff",
-            "house_cream",
-            "house_grey",
-            "house_ochre",
-            "house_brick",
-            "house_rose",
-            "house_buff",
-            "house_white",
-            "house_grey",
+            "house_white", "house_buff", "house_cream", "house_grey", "house_ochre", "house_brick", "house_rose",
+            "house_buff", "house_white", "house_grey",
         ),
-    }
+    }  # fmt: skip
     houses: list[Placement] = []
     for side, names in rows.items():
         y = -14.0

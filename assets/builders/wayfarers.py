@@ -437,19 +437,9 @@ def _motorcyclist() -> Component:
     )
     paint = {name: Look(materials={"paint": {"diffuseColor": PAINTS[name]}}) for name in ("red", "black", "blue")}
     machine = (
-        "paint",
-        "tyre",
-        "rim",
-        "chrome",
-        "black_plastic",
-        "engine",
-        "brake",
-        "headlamp",
-        "headlamp_lens",
-        "tail_lamp",
-        "tail_lens",
-        "plate_blank",
-    )
+        "paint", "tyre", "rim", "chrome", "black_plastic", "engine", "brake", "headlamp", "headlamp_lens",
+        "tail_lamp", "tail_lens", "plate_blank",
+    )  # fmt: skip
     return replace(
         component,
         variants={**component.variants, "paint": paint, "lamps": lamp_states((lamp,))},
@@ -505,13 +495,7 @@ def _motorcycle() -> list[Part]:
         soft_box((-0.15, -0.16, 0.28), (0.15, 0.26, 0.56), "engine", radius=0.05),
         lathe(
             [
-                (0.075, 0),
-                (0.085, 0.02),
-                (0.075, 0.04),
-                (0.085, 0.06),
-                (0.075, 0.08),
-                (0.085, 0.10),
-                (0.075, 0.12),
+                (0.075, 0), (0.085, 0.02), (0.075, 0.04), (0.085, 0.06), (0.075, 0.08), (0.085, 0.10), (0.075, 0.12),
                 (0.07, 0.20),
             ],
             "engine",
@@ -532,5 +516,5 @@ def _motorcycle() -> list[Part]:
         disc((0, 0, 0), 0.05, "tail_lens", sides=10).moved(shift(0, -0.965, 0.79) @ turn(90, "x")),
         box((-0.10, -0.99, 0.50), (0.10, -0.985, 0.66), "plate_blank"),
         tube([(0, -0.86, 0.74), (0, -0.98, 0.62)], 0.02, "black_plastic", sides=5),
-    ]
+    ]  # fmt: skip
     return parts

@@ -264,22 +264,12 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     "sheeting_blue": ("sign_blue",),
     "paint": (
         *(
-            "paint",
-            "paint_dusty",
-            "paint_dirty",
-            "livery",
-            "taxi_sign",
-            "marking",
-            "green_iron",
-            "sheet_blue",
-            "door_green",
-            "door_brown",
-            "door_blue",
-            "frame_green",
+            "paint", "paint_dusty", "paint_dirty", "livery", "taxi_sign", "marking", "green_iron", "sheet_blue",
+            "door_green", "door_brown", "door_blue", "frame_green",
         ),
         *("helmet_yellow", "awning_red", "awning_green"),
     ),
-}
+}  # fmt: skip
 """Spectrum -> materials of the palette that have it."""
 
 PALETTE |= {name: replace(PALETTE[name], spectrum=spectrum) for spectrum, names in SPECTRA.items() for name in names}

@@ -50,16 +50,9 @@ PEOPLE = {
     "wheelchair_user": 0.3,
 }
 WALKERS = (
-    "man_walking",
-    "woman_walking",
-    "student",
-    "child",
-    "schoolgirl",
-    "old_man",
-    "jogger",
-    "woman_pram",
+    "man_walking", "woman_walking", "student", "child", "schoolgirl", "old_man", "jogger", "woman_pram",
     "wheelchair_user",
-)
+)  # fmt: skip
 LANE = Continuous(0.3, 30.0, None, "width of a lane [m]")
 
 PARKED: dict[str, Parameter] = {

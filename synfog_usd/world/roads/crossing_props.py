@@ -53,30 +53,15 @@ SIGNALS = (
     ("traffic_light", -6.1, -16.0, 180, "red"),
 )
 FURNITURE = (
-    ("sign_crossing", 6.1, -14.9, 180),
-    ("sign_limit", 6.05, -33.2, 180),
-    ("sign_no_stopping", 6.05, -20.4, 180),
-    ("sign_priority", 6.05, -27.3, 180),
-    ("sign_street", 7.1, -9.0, 0),
-    ("sign_street", -7.2, 9.1, 0),
-    ("sign_crossing", -6.1, 14.9, 0),
-    ("sign_parking", -6.05, -20.8, 0),
-    ("sign_no_entry", 6.1, 16.2, 180),
-    ("sign_parking", 6.05, 20.4, 180),
-    ("sign_limit", -6.05, 41.5, 0),
-    ("sign_ahead", 6.05, 59.0, 180),
-    ("sign_no_stopping", 6.05, 86.0, 180),
-    ("litter_bin", 6.5, -18.0, 0),
-    ("litter_bin", -6.5, -15.2, 0),
-    ("litter_bin", 6.6, 16.8, 0),
-    ("litter_bin", -6.6, 28.5, 0),
-    ("bench", 6.75, -22.6, -90),
-    ("bench", -6.8, 24.5, 90),
-    ("bench", 6.8, 54.0, -90),
-    ("cabinet", 9.45, -17.8, 90),
-    ("cabinet", -9.45, 27.4, -90),
+    ("sign_crossing", 6.1, -14.9, 180), ("sign_limit", 6.05, -33.2, 180), ("sign_no_stopping", 6.05, -20.4, 180),
+    ("sign_priority", 6.05, -27.3, 180), ("sign_street", 7.1, -9.0, 0), ("sign_street", -7.2, 9.1, 0),
+    ("sign_crossing", -6.1, 14.9, 0), ("sign_parking", -6.05, -20.8, 0), ("sign_no_entry", 6.1, 16.2, 180),
+    ("sign_parking", 6.05, 20.4, 180), ("sign_limit", -6.05, 41.5, 0), ("sign_ahead", 6.05, 59.0, 180),
+    ("sign_no_stopping", 6.05, 86.0, 180), ("litter_bin", 6.5, -18.0, 0), ("litter_bin", -6.5, -15.2, 0),
+    ("litter_bin", 6.6, 16.8, 0), ("litter_bin", -6.6, 28.5, 0), ("bench", 6.75, -22.6, -90),
+    ("bench", -6.8, 24.5, 90), ("bench", 6.8, 54.0, -90), ("cabinet", 9.45, -17.8, 90), ("cabinet", -9.45, 27.4, -90),
     ("advertising_column", -8.0, -15.5, 30),
-)
+)  # fmt: skip
 STREET_TREES = {
     1: (
         -53.0, -39.0, -25.2, 25.5, 37.0, 50.5, 64.0, 80.0, 93.0, 110.0, 124.0, 140.0, 156.0, 174.0, 192.0, 212.0, 235.0,
