@@ -144,11 +144,6 @@ def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, Any]]:
     return MappingProxyType(sizes)
 
 
-def of_group(group: str, folder: Path | None = None) -> tuple[LibraryModel, ...]:
-    """All models of a group, by name."""
-    return tuple(m for m in library(folder).values() if m.group == group)
-
-
 def origin(model: LibraryModel) -> str:
     """Where a model is from and under which licence, as its file states it."""
     data = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData

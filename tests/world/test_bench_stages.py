@@ -8,8 +8,7 @@ import pytest
 from pxr import Usd
 
 from assets.builders import bench_stages
-from synfog_usd.stage import cameras, check, open_stage, select, variants
-from synfog_usd.stage.schema import read_fog
+from synfog_usd.stage import cameras, check, open_stage, variants
 
 FOLDER = Path(__file__).resolve().parents[2] / "stages" / "bench"
 STAGES = sorted(path.stem for path in FOLDER.glob("*.usda"))
@@ -33,19 +32,3 @@ def test_a_stage_is_sound_and_has_a_camera_fog_and_labels(name: str):
     assert [note for note in check(stage) if note.severity == "warning" or "label" in note.text] == []
     assert cameras(stage) == ["/World/Ego"]
     assert "clear" in variants(stage)["fog"]
-
-
-@pytest.mark.parametrize("name, fog, mor_m", [
-    ("overcast_street", None, {150.0}),
-    ("canyon", "mor600", {600.0}),
-    ("dense_mor50", None, {50.0}),
-    ("dense_mor50", "mor300", {300.0}),
-    ("haze_mor2000", None, {2000.0}),
-    ("fog_bank", None, {400.0, 40.0}),
-    ("fog_bank", "clear", set()),
-])  # fmt: skip
-def test_a_variant_sets_the_visibility(name: str, fog: str | None, mor_m: set[float]):
-    stage = opened(name)
-    select(stage, fog=fog)
-    found = [read_fog(prim, Usd.TimeCode.Default()) for prim in stage.Traverse()]
-    assert {one.values["mor"] for one in found if one is not None} == mor_m

@@ -5,16 +5,13 @@ say.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
-import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdUtils, UsdValidation
+from pxr import Sdf, Usd, UsdGeom, UsdValidation
 
 from synfog_usd.base import cityscapes
 from synfog_usd.base.errors import StageError
 from synfog_usd.world.library import SIZES, library, model, read
-from synfog_usd.world.shapes import Part
 
 NAMES = [name for name, m in library().items() if m.group != "ground"]
 ROOTED = {"bare_tree", "lime_tree", "maple_tree", "park_tree"}
@@ -23,19 +20,6 @@ NOT_ON_GROUND = {"rider"}
 """Sits on the model `bicycle`, at the same place."""
 FIRST = sorted({m.group: m.name for m in reversed(library().values())}.values())
 """One model of each group; one writer wrote all of them."""
-
-
-def meshes(stage: Usd.Stage) -> dict[str, Part]:
-    """Triangles by name of the mesh."""
-    found = {}
-    for prim in stage.Traverse():
-        if prim.IsA(UsdGeom.Mesh):
-            mesh = UsdGeom.Mesh(prim)
-            points = np.array(mesh.GetPointsAttr().Get(), dtype=np.float64)
-            found[prim.GetName()] = Part(
-                points, np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int64).reshape(-1, 3), prim.GetName()
-            )
-    return found
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -62,44 +46,6 @@ def test_every_validator_of_usd_is_content_with_a_model(name):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     stage = Usd.Stage.Open(str(library()[name].path))
     assert [e.GetMessage() for e in UsdValidation.ValidationContext(validators).Validate(stage)] == []
-
-
-def kinds_in(layer: Sdf.Layer) -> set[str]:
-    """Types of the prims that a layer defines, within variants too."""
-    found = set()
-
-    def visit(path: Sdf.Path) -> None:
-        if path.IsPrimPath() or path.IsPrimVariantSelectionPath():
-            spec = layer.GetPrimAtPath(path)
-            found.update({spec.typeName} if spec and spec.specifier == Sdf.SpecifierDef else ())
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
-    return found - {""}
-
-
-@pytest.mark.parametrize("name", FIRST)
-def test_a_model_is_divided_as_the_working_group_advises(name):
-    """Meshes in payloads, materials in a layer of their own, neither in the interface."""
-    path = library()[name].path
-    interface, materials = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".mtl.usda")))
-    assert kinds_in(interface).isdisjoint({"Mesh", "Material", "Shader"})
-    assert kinds_in(materials) == {"Xform", "Scope", "Material", "Shader"}
-    payloads = sorted(path.parent.glob("*.geo.usdc"))
-    assert payloads
-    for file in payloads:
-        assert kinds_in(Sdf.Layer.FindOrOpen(str(file))) == {"Scope", "Mesh"}
-    assert {f.name for f in path.parent.glob("*.usd*")} == {path.name, f"{name}.mtl.usda", *(f.name for f in payloads)}
-    layers, _, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
-    assert {Path(layer.realPath) for layer in layers} == set(path.parent.glob("*.usd*"))  # every file is reached
-    assert missing == []
-    unloaded = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
-    sets = unloaded.GetDefaultPrim().GetVariantSets()
-    assert {key: tuple(sets.GetVariantSet(key).GetVariantNames()) for key in sets.GetNames()} == library()[
-        name
-    ].variants
-    assert not meshes(unloaded)
-    unloaded.Load()
-    assert meshes(unloaded)
 
 
 def test_unknown_models_and_files_that_are_none_are_told(tmp_path):

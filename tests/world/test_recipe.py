@@ -15,7 +15,6 @@ from support import cli
 from support.outlines import apart, outline
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.cli.main import main
 from synfog_usd.world.compose import compose, draw, load
 from synfog_usd.world.roads import crossing_actors
 from synfog_usd.world.roads.crossing import MAIN_HALF, WALL_X, ground_height
@@ -193,14 +192,3 @@ def test_the_command_writes_a_stage_and_tells_what_stands_where(tmp_path):
         assert len(stage.GetPrimAtPath(f"/World/{name}").GetChildren()) == sum(
             p["group"] == name for p in printed["placed"]
         )
-
-
-@pytest.mark.parametrize("path, out, words", [("none.yaml", "s.usda", "none.yaml"), (SHIPPED, "s.txt", "s.txt")])
-def test_the_command_refuses_in_one_line(tmp_path, capsys, path, out, words):
-    """Exit code 2, and nothing written."""
-    with pytest.raises(SystemExit) as left:
-        main(["compose", str(tmp_path / path), "--seed", "1", "-o", str(tmp_path / out)])
-    assert left.value.code == 2
-    told = capsys.readouterr().err
-    assert words in told and len(told.splitlines()) == 1
-    assert not (tmp_path / out).exists()
