@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import shapely
@@ -23,7 +22,8 @@ from synfog_usd.world.roads.stage import KINDS
 from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, Site, WorldSpec
 from synfog_usd.world.traffic import walk
-from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Vehicle, beside, drive, eased
+from synfog_usd.world.traffic.changing import TAKES_S
+from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Trip, Vehicle, beside, drive, eased
 from synfog_usd.world.traffic.idm import Driver
 from synfog_usd.world.traffic.paths import Route, crosswalks, footways, routes
 from synfog_usd.world.traffic.signals import MAIN, SIDE, Programme, programme
@@ -31,6 +31,8 @@ from synfog_usd.world.traffic.signals import MAIN, SIDE, Programme, programme
 OWN_WIDTH_M = 1.9
 PEDALS_M_S = (3.8, 5.2)
 """Speed of cyclists."""
+LIGHT, HEAVY = (0.95, 1.2), (0.75, 0.85)
+"""Speed over the recipe's that drivers of cars, and of lorries and buses, wish for where lanes can be changed."""
 SLOWS = 0.75
 """Who brakes where nothing asks for it goes on at this share of the speed."""
 BESIDE_LANE_M, RIDES_M = 0.3, 1.0
@@ -138,7 +140,8 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     obstacles = [*fixed, *_posts(spec)]
     places = walk.plan(list(walkers.values()), footways(spec.road), obstacles, steps, pace.seed, openings)
     outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(corners), OUTLINE_M) for corners in fixed])
-    still_at = beside(ways, {vehicle.route for vehicle in vehicles}, outline)
+    driven = {vehicle.route for vehicle in vehicles}
+    still_at = beside(ways, driven | {number for number, route in enumerate(ways) if _reached(route)}, outline)
     vehicles = [
         replace(car, until=eased(ways[car.route].path, car, still_at[car.route], car.v0 * float(t[-1]) + 10.0))
         for car in vehicles
@@ -148,8 +151,7 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     run = drive(street, float(t[-1]) + STEP_S)
     tracks: dict[int, Track] = {}
     for number, index in enumerate(who):
-        lit = spec.placed[index].lit.get("lamps") if index >= 0 else None
-        tracks[index] = _driven(spec, street, run, number, t, lit == "brake", index)
+        tracks[index] = _driven(spec, street, run, number, t, index)
     for column, index in enumerate(walkers):
         tracks[index] = _walked(spec, places[:, column], steps, t, spec.placed[index])
     ego = tracks.pop(-1)
@@ -194,7 +196,9 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
     ego_lane = _in_lane(ways, view.x, view.y, view.heading - view.yaw, 0.5, rng)
     if ego_lane is None:
         raise RecipeError("the camera is in no lane, so that nothing can be put in motion around it")
-    result = [Vehicle(*ego_lane, before, behind, OWN_WIDTH_M, pace.speed_m_s, pace.speed_m_s)]
+    result = [
+        Vehicle(*ego_lane, before, behind, OWN_WIDTH_M, pace.speed_m_s, pace.speed_m_s, takes=rng.uniform(*TAKES_S))
+    ]
     who = [-1]
     ridden = {bicycle for _, bicycle in _ridden(spec)}
     for index, p in enumerate(spec.placed):
@@ -210,10 +214,18 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
         speed = float(rng.uniform(*PEDALS_M_S)) if pedals else pace.speed_m_s
         v = speed if p.speed_m_s is None else p.speed_m_s
         v0 = speed * (SLOWS if p.lit.get("lamps") == "brake" and p.speed_m_s is None else 1.0)
+        if _reached(ways[lane[0]]):
+            v0 *= float(rng.uniform(*(HEAVY if model.label in ("truck", "bus") else LIGHT)))
         x0, y0, x1, y1 = rules.foot(p.asset)
-        result.append(Vehicle(*lane, y1, -y0, x1 - x0, v, max(v0, 1.0)))
+        takes = float(rng.uniform(*TAKES_S))
+        result.append(Vehicle(*lane, y1, -y0, x1 - x0, v, max(v0, 1.0), takes=takes))
         who.append(index)
     return who, result
+
+
+def _reached(route: Route) -> bool:
+    """Whether others may change to it."""
+    return route.left >= 0 or route.right >= 0
 
 
 def _in_lane(
@@ -276,42 +288,46 @@ def slopes(site: Site, x: Array, y: Array, heading: Array) -> tuple[Array, Array
     return angles[0], -angles[1]
 
 
-def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, brakes: bool, index: int) -> Track:
-    """The track of a vehicle; it begins exactly where it was drawn."""
-    vehicle = street.vehicles[number]
-    route = street.routes[vehicle.route]
-    s, v, a = (column[:, number] for column in run.at(t))
-    x, y, h = vehicle.pose(route.path, s)
+def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, index: int) -> Track:
+    """The track of a vehicle, or with index -1 of the lens in its car; it begins exactly where it was drawn."""
+    trip = street.trip(run, number, t)
+    x, y = trip.x, trip.y
     z = ground(spec.road, x, y)
-    pitch, roll = slopes(spec.road, x, y, h)
-    p: Any = spec.view if index < 0 else spec.placed[index]
+    pitch, roll = slopes(spec.road, x, y, trip.heading)
+    heading = np.degrees(np.unwrap(trip.heading))
     if index < 0:
-        z, pitch, roll = z + p.z - z[1], pitch - pitch[1], roll * 0.0
-    elif rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
+        first = spec.view.x, spec.view.y, spec.view.z, spec.view.heading - spec.view.yaw, 0.0, 0.0
         roll = roll * 0.0
-    heading = np.degrees(np.unwrap(h))
-    heading += (p.heading if index >= 0 else p.heading - p.yaw) - heading[1]
-    lights, on = [], brakes
-    for frame in range(len(t)):
-        if frame > 1:
-            on = bool(a[frame] < BRAKES_M_S2 or (v[frame] < STANDS_M_S and (on or v[frame - 1] >= STANDS_M_S)))
-        lights.append(on)
-    side = np.zeros(len(t), dtype=np.int64)
-    for begin, end, way in route.turns:
-        side[(s > begin) & (s < end)] = way
-    travel = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]  # not along the middle of the lane
-    return Track(
-        *(column + (was - column[1]) for column, was in ((x, p.x), (y, p.y), (z, p.z))),
-        heading,
-        pitch if index < 0 else pitch + (p.pitch - pitch[1]),
-        roll if index < 0 else roll + (p.roll - roll[1]),
-        np.gradient(travel, t),
-        travel - travel[1],
-        np.interp(s, route.path.s, route.path.curvature),
-        np.array(lights),
-        np.where((t * BLINKS_HZ) % 1.0 >= 0.5, side, 0),
-        s + vehicle.ahead < route.path.length - 0.5,
+    else:
+        p = spec.placed[index]
+        first = p.x, p.y, p.z, p.heading, p.pitch, p.roll
+        if rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
+            roll = roll * 0.0
+    x, y, z, heading, pitch, roll = (
+        column + (drawn - column[1]) for column, drawn in zip((x, y, z, heading, pitch, roll), first, strict=True)
     )
+    travel = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]  # not along the middle of the lane
+    braked = index >= 0 and spec.placed[index].lit.get("lamps") == "brake"
+    return Track(
+        x=x, y=y, z=z, heading=heading, pitch=pitch, roll=roll,
+        speed=np.gradient(travel, t),
+        travel=travel - travel[1],
+        bend=trip.bend,
+        brakes=_brake_lights(trip, braked),
+        blinks=np.where((t * BLINKS_HZ) % 1.0 >= 0.5, trip.blinks, 0),
+        shown=trip.left > 0.5,
+    )  # fmt: skip
+
+
+def _brake_lights(trip: Trip, on: bool) -> Flags:
+    """Frame by frame whether they are on: while somebody brakes, and while they stand after that."""
+    result = []
+    for frame in range(len(trip.v)):
+        if frame > 1:
+            stands, stood = (trip.v[k] < STANDS_M_S for k in (frame, frame - 1))
+            on = bool(trip.a[frame] < BRAKES_M_S2 or (stands and (on or not stood)))
+        result.append(on)
+    return np.array(result)
 
 
 def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement) -> Track:
@@ -324,7 +340,11 @@ def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement
     heading = np.degrees(heading)
     none = np.zeros(len(t))
     speed = np.gradient(travel, t)
+    x, y, z, heading = (
+        column + (drawn - column[1])
+        for column, drawn in zip((x, y, z, heading), (p.x, p.y, p.z, p.heading), strict=True)
+    )
     return Track(
-        *(column + (was - column[1]) for column, was in ((x, p.x), (y, p.y), (z, p.z), (heading, p.heading))),
-        none, none, speed, travel, none, none > 0, none.astype(np.int64), none == 0,
+        x=x, y=y, z=z, heading=heading, pitch=none, roll=none, speed=speed, travel=travel, bend=none,
+        brakes=none > 0, blinks=none.astype(np.int64), shown=none == 0,
     )  # fmt: skip

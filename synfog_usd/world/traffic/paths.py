@@ -7,7 +7,7 @@ on them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.world.roads import crossing
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.crossing_actors import STOP, STOP_SIDE
+from synfog_usd.world.roads.lane_section import EDGE_M, Lane
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Site
@@ -156,6 +157,7 @@ class Route:
         zebras: stations of the middles of zebra crossings [m].
         gives_way: lines before other traffic.
         turns: (from, to) [m] and side, 1 for left and -1 for right, where an indicator blinks.
+        left, right: numbers of the lanes beside it that go the same way, -1 for none.
     """
 
     path: Path
@@ -163,6 +165,8 @@ class Route:
     zebras: tuple[float, ...] = ()
     gives_way: tuple[GiveWay, ...] = ()
     turns: tuple[tuple[float, float, int], ...] = field(default=())
+    left: int = -1
+    right: int = -1
 
 
 def routes(site: Site) -> list[Route]:
@@ -203,11 +207,22 @@ def rounded(points: Array, over_m: float = ROUNDED_M) -> Array:
 def _of_road(road: Road) -> Iterator[Route]:
     line = road.reference_line
     s = np.linspace(0.0, line.length, round(line.length / STEP_M) + 1)
-    for lane in road.lane_section.of("lane", "bus", "cycle"):
+    lanes = list(road.lane_section.of("lane", "bus", "cycle"))
+    for lane in lanes:
         way = lane.way or (1 if lane.middle > 0 else -1)
         path = Path(np.stack(line.place(s, lane.middle), axis=1)[::way], lane.width)
         at = sorted(float(path.nearest(np.stack(line.place(zebra, lane.middle)))[0]) for zebra in road.zebras)
-        yield Route(path, zebras=tuple(at))
+        low, high = (_beside(lanes, lane, edge) for edge in (lane.low, lane.high))
+        yield Route(path, zebras=tuple(at), left=low if way > 0 else high, right=high if way > 0 else low)
+
+
+def _beside(lanes: Sequence[Lane], lane: Lane, edge: float) -> int:
+    """Number of the lane that meets another at an edge, for cars and the same way; -1 for none."""
+    for number, other in enumerate(lanes):
+        alike = other is not lane and other.kind == lane.kind == "lane" and other.way == lane.way
+        if alike and min(abs(other.low - edge), abs(other.high - edge)) < EDGE_M:
+            return number
+    return -1
 
 
 def _pavements(road: Road) -> Iterator[Path]:
