@@ -27,6 +27,7 @@ from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Trip, V
 from synfog_usd.world.traffic.idm import Driver
 from synfog_usd.world.traffic.paths import Route, crosswalks, footways, routes
 from synfog_usd.world.traffic.signals import MAIN, SIDE, Programme, programme
+from synfog_usd.world.traffic.suspension import lean
 
 OWN_WIDTH_M = 1.9
 PEDALS_M_S = (3.8, 5.2)
@@ -43,6 +44,7 @@ BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
 BLINKS_HZ = 1.5
 PASSED = ("Ground", "Buildings")
 """What nobody has to go round: eaves of houses hang over the pavement."""
+LEAN_STEP_S = 0.02
 OUTLINE_M = 0.5
 """Between points of an outline, at most."""
 
@@ -297,7 +299,8 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
     heading = np.degrees(np.unwrap(trip.heading))
     if index < 0:
         first = spec.view.x, spec.view.y, spec.view.z, spec.view.heading - spec.view.yaw, 0.0, 0.0
-        roll = roll * 0.0
+        dive, roll = _leaning(street, run, number, t)
+        pitch = pitch + dive
     else:
         p = spec.placed[index]
         first = p.x, p.y, p.z, p.heading, p.pitch, p.roll
@@ -317,6 +320,15 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
         blinks=np.where((t * BLINKS_HZ) % 1.0 >= 0.5, trip.blinks, 0),
         shown=trip.left > 0.5,
     )  # fmt: skip
+
+
+def _leaning(street: Street, run: Run, number: int, t: Array) -> tuple[Array, Array]:
+    """Pitch and roll of a vehicle on its springs at times [degrees]."""
+    fine = np.arange(0.0, max(float(t[-1]), 0.1) + LEAN_STEP_S, LEAN_STEP_S)
+    trip = street.trip(run, number, fine)
+    turning = np.gradient(np.unwrap(trip.heading), fine)
+    pitch, roll = lean(fine, trip.a, trip.v * turning)
+    return np.interp(t, fine, pitch), np.interp(t, fine, roll)
 
 
 def _brake_lights(trip: Trip, on: bool) -> Flags:

@@ -13,6 +13,7 @@ from pxr import Gf, Sdf
 from synfog_usd.base.arrays import Array
 from synfog_usd.world import authoring
 from synfog_usd.world.roads import stage
+from synfog_usd.world.shapes import shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.traffic.motion import Clip, Track
 from synfog_usd.world.traffic.samples import KINDS, attribute, order, sample
@@ -74,11 +75,14 @@ def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tra
 
 def _author_cameras(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     """The ego's camera, those of its rig, and its headlights."""
-    views = _views(spec.view, clip.ego)
+    views, rolls = _views(spec.view, clip.ego), np.round(clip.ego.roll, 4).tolist()
     ego = layer.GetPrimAtPath(authoring.EGO)
     for name, values in (
         ("xformOp:translate", [Gf.Vec3d(item.x, item.y, item.z) for item in views]),
-        ("xformOp:rotateXYZ", [Gf.Vec3f(item.tilt, 0, item.heading) for item in views]),
+        (
+            "xformOp:rotateXYZ",
+            [Gf.Vec3f(item.tilt, roll, item.heading) for item, roll in zip(views, rolls, strict=True)],
+        ),
     ):
         sample(layer, ego.attributes[name].path, clip.codes, values)
     above = spec.view.z - float(spec.road.height(spec.view.x, spec.view.y))
@@ -89,8 +93,15 @@ def _author_cameras(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     for path, matrices in places.items():
         prim = layer.GetPrimAtPath(path)
         if prim:
-            values = [Gf.Matrix4d(np.round(item.T, 6).tolist()) for item in matrices]
+            rolled = [_rolled(view, roll) @ item for view, roll, item in zip(views, rolls, matrices, strict=True)]
+            values = [Gf.Matrix4d(np.round(item.T, 6).tolist()) for item in rolled]
             sample(layer, prim.attributes["xformOp:transform"].path, clip.codes, values)
+
+
+def _rolled(view: View, roll: float) -> Array:
+    """(4, 4) turn of all that is fixed to the car about the line through the lens along which the car looks."""
+    car = shift(view.x, view.y, view.z) @ turn(view.heading - view.yaw)
+    return np.asarray(car @ turn(roll, "y") @ np.linalg.inv(car))
 
 
 def _views(view: View, track: Track) -> list[View]:
