@@ -288,6 +288,7 @@ class ComposeWords:
         Path | None, typer.Option(help="FCD of SUMO (.xml) that drives, in place of the traffic that is drawn.")
     ] = None
     fcd: Annotated[Path | None, typer.Option(help="File for the traffic of the clip as FCD (.xml).")] = None
+    opendrive: Annotated[Path | None, typer.Option(help="File for the roads as OpenDRIVE 1.8 (.xodr).")] = None
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False
 
 

@@ -23,6 +23,7 @@ from synfog_usd.world.traffic import motion, write
 from synfog_usd.world.traffic.fcd import driven, seconds_of
 from synfog_usd.world.traffic.fcd import read as read_fcd
 from synfog_usd.world.traffic.fcd import write as write_fcd
+from synfog_usd.world.traffic.opendrive import write as write_roads
 
 DRAWS: Mapping[str, Callable[[Draws], WorldSpec]] = {
     "crossroads": crossing_recipe.draw,
@@ -67,6 +68,7 @@ def compose(
     fps: float | None = None,
     traffic: str | os.PathLike[str] | None = None,
     fcd: str | os.PathLike[str] | None = None,
+    opendrive: str | os.PathLike[str] | None = None,
 ) -> WorldSpec:
     """Draw a world and write it as a stage: the file, and a layer for each department beside it.
 
@@ -86,6 +88,7 @@ def compose(
         traffic: FCD of SUMO (.xml) with what drives and walks, in place of what the recipe draws in motion; its times
             are those of the clip where nothing says another length.
         fcd: file for the same of this clip.
+        opendrive: file for the roads as OpenDRIVE 1.8 (.xodr), in the axes of the stage.
 
     Returns:
         what was drawn, all numbers; of a clip at frame 0.
@@ -94,7 +97,9 @@ def compose(
         SynfogError: with its place; or the stage cannot be written.
     """
     seed = values.count(seed, "--seed")
-    out, out_fcd = _outputs(path, fcd)
+    out = _output(path, "-o", "a USD file", ".usda", ".usdc", ".usd")
+    out_fcd = None if fcd is None else _output(fcd, "--fcd", "an XML file", ".xml")
+    out_roads = None if opendrive is None else _output(opendrive, "--opendrive", "OpenDRIVE", ".xodr")
     recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
     if recorded and seconds is None:
         seconds = seconds_of(recorded)
@@ -116,21 +121,22 @@ def compose(
     write_layers(out, author)
     if clip and out_fcd:
         write_fcd(out_fcd, spec, clip)
+    if out_roads:
+        write_roads(out_roads, spec.road, chosen.name)
     return spec
 
 
-def _outputs(path: str | os.PathLike[str], fcd: str | os.PathLike[str] | None) -> tuple[Path, Path | None]:
-    """The files that are written: the stage, and FCD where it is asked for.
+def _output(path: str | os.PathLike[str], option: str, kind: str, *suffixes: str) -> Path:
+    """A file that is written.
 
     Raises:
-        RecipeError: a name with another suffix.
+        RecipeError: its name has another suffix.
     """
-    out, out_fcd = values.path_of(path, "-o"), None if fcd is None else values.path_of(fcd, "--fcd")
-    if out.suffix not in (".usda", ".usdc", ".usd"):
-        raise RecipeError(f"-o {out}: not a USD file by its name; it ends in .usda, .usdc or .usd")
-    if out_fcd and out_fcd.suffix != ".xml":
-        raise RecipeError(f"--fcd {out_fcd}: not an XML file by its name; it ends in .xml")
-    return out, out_fcd
+    out = values.path_of(path, option)
+    if out.suffix not in suffixes:
+        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise RecipeError(f"{option} {out}: not {kind} by its name; it ends in {allowed}")
+    return out
 
 
 def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, fps: float | None) -> list[str]:
