@@ -23,7 +23,7 @@ from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.reference_line import ReferenceLine
 from synfog_usd.world.roads.roundabout import HOLD_M, TAPER_M, ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Site
-from synfog_usd.world.traffic.xodr import Cubic, Junction, Network, OpenRoad, Piece, Strip, write_network
+from synfog_usd.world.traffic.xodr import Cubic, Junction, Network, OpenRoad, LinePiece, Strip, write_network
 
 TYPES = {
     "lane": "driving", "bus": "driving", "parking": "parking", "shoulder": "shoulder", "cycle": "biking",
@@ -86,7 +86,7 @@ def _axis(lanes: Sequence[Lane]) -> float:
     return min(edges, key=abs)
 
 
-def _pieces(line: ReferenceLine) -> list[Piece]:
+def _pieces(line: ReferenceLine) -> list[LinePiece]:
     """Straights, arcs and clothoids between the knots of a line's curvature."""
     knots = [(s, k) for s, k in line.curvature if s < line.length]
     last = float(np.interp(line.length, *np.array(line.curvature).T))
@@ -95,7 +95,7 @@ def _pieces(line: ReferenceLine) -> list[Piece]:
         if end - s < LEAST_M:
             continue
         x, y = line.place(s, 0.0)
-        result.append(Piece(float(x), float(y), float(line.heading(s)) + math.pi / 2.0, end - s, k, then))
+        result.append(LinePiece(float(x), float(y), float(line.heading(s)) + math.pi / 2.0, end - s, k, then))
     return result
 
 
@@ -121,7 +121,7 @@ def _through(
     junction: int,
     begin: tuple[int, int, str],
     end: tuple[int, int, str],
-    pieces: Sequence[Piece],
+    pieces: Sequence[LinePiece],
     widths: tuple[float, float],
 ) -> tuple[int, int, int, int]:
     """Add a road of one lane through a junction, its reference line in the lane's middle; gives its way.
@@ -143,7 +143,7 @@ def _through(
     return begin[0], number, begin[1], -1
 
 
-def _turn(begin: Pose, end: Pose) -> list[Piece]:
+def _turn(begin: Pose, end: Pose) -> list[LinePiece]:
     """Straight, arc and straight from one pose to another."""
     (x, y, h), (to_x, to_y, to_h) = begin, end
     turn = math.remainder(to_h - h, 2.0 * math.pi)
@@ -152,18 +152,18 @@ def _turn(begin: Pose, end: Pose) -> list[Piece]:
         (to_y - y) * math.cos(h) - (to_x - x) * math.sin(h),
     )
     if abs(turn) < 1e-9:
-        return [Piece(x, y, h, along)]
+        return [LinePiece(x, y, h, along)]
     second = aside / math.sin(turn)  # from the corner where the two straights meet
     first = along - second * math.cos(turn)
     reach = min(first, second)
     radius = reach / math.tan(abs(turn) / 2.0)
-    pieces = [Piece(x, y, h, first - reach)] if first - reach > LEAST_M else []
-    arc = Piece(
+    pieces = [LinePiece(x, y, h, first - reach)] if first - reach > LEAST_M else []
+    arc = LinePiece(
         *(pieces[0].after() if pieces else begin), radius * abs(turn), *(math.copysign(1.0 / radius, turn),) * 2
     )
     pieces.append(arc)
     if second - reach > LEAST_M:
-        pieces.append(Piece(*arc.after(), second - reach))
+        pieces.append(LinePiece(*arc.after(), second - reach))
     return pieces
 
 
@@ -185,7 +185,7 @@ def _of_crossing(site: Crossing) -> Network:
                 (("driving", width), *((("parking", parking),) if parking else ())), 1
             )
         ]
-        piece = Piece(begin * math.cos(h), begin * math.sin(h), h, end - begin)
+        piece = LinePiece(begin * math.cos(h), begin * math.sin(h), h, end - begin)
         ends = ("junction", 1, ""), None
         network.roads.append(
             OpenRoad(len(network.roads) + 1, "arm", [piece], strips, centre="broken", ends=ends)
@@ -245,11 +245,11 @@ def _of_roundabout(site: Roundabout) -> Network:
     return network
 
 
-def _along_ring(begin: float, end: float, radius: float) -> Piece:
+def _along_ring(begin: float, end: float, radius: float) -> LinePiece:
     """A piece of a circle round the origin, counter-clockwise between two angles from +X [rad]."""
     turn = (end - begin) % (2.0 * math.pi)
     x, y = radius * math.cos(begin), radius * math.sin(begin)
-    return Piece(x, y, begin + math.pi / 2.0, turn * radius, 1.0 / radius, 1.0 / radius)
+    return LinePiece(x, y, begin + math.pi / 2.0, turn * radius, 1.0 / radius, 1.0 / radius)
 
 
 @dataclass(frozen=True)
@@ -260,8 +260,8 @@ class _Mouth:
 
     merges: float
     leaves: float
-    inwards: Sequence[Piece]
-    outwards: Sequence[Piece]
+    inwards: Sequence[LinePiece]
+    outwards: Sequence[LinePiece]
 
 
 def _arm_of(site: Roundabout, number: int, network: Network) -> _Mouth:
@@ -298,14 +298,14 @@ def _arm_of(site: Roundabout, number: int, network: Network) -> _Mouth:
             number + 1, f"arm {number + 1}", pieces, strips, ends=(("junction", number + 1, ""), None), zebras=zebras
         )
     )
-    ways: list[list[Piece]] = []
+    ways: list[list[LinePiece]] = []
     angles = []
     for way, r, foot in zip((1.0, -1.0), radii, feet, strict=True):  # the lane in lies to the left of the arm's line
         angle = math.atan2(foot, e + r)
         begin = x - way * e * math.sin(h), y + way * e * math.cos(h), h + math.pi
-        straight = Piece(*begin, first - foot)
+        straight = LinePiece(*begin, first - foot)
         lead = [straight] if straight.length > LEAST_M else []
-        arc = Piece(*(straight.after() if lead else begin), r * angle, -way / r, -way / r)
+        arc = LinePiece(*(straight.after() if lead else begin), r * angle, -way / r, -way / r)
         end = arc.after()
         angles.append(math.atan2(end[1], end[0]))
         inwards = [*lead, arc]
@@ -313,16 +313,16 @@ def _arm_of(site: Roundabout, number: int, network: Network) -> _Mouth:
     return _Mouth(angles[0], angles[1], ways[0], ways[1])
 
 
-def _reversed(pieces: Sequence[Piece]) -> list[Piece]:
+def _reversed(pieces: Sequence[LinePiece]) -> list[LinePiece]:
     """The same line from its end to its beginning."""
     result = []
     for piece in reversed(pieces):
         x, y, h = piece.after()
-        result.append(Piece(x, y, h + math.pi, piece.length, -piece.end, -piece.begin))
+        result.append(LinePiece(x, y, h + math.pi, piece.length, -piece.end, -piece.begin))
     return result
 
 
-def _cut(pieces: Sequence[Piece], s: float) -> list[Piece]:
+def _cut(pieces: Sequence[LinePiece], s: float) -> list[LinePiece]:
     """A line from a station on; the piece there is no clothoid."""
     result, at = [], 0.0
     for piece in pieces:

@@ -21,7 +21,7 @@ Cubic = tuple[float, float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Piece:
+class LinePiece:
     """A piece of a reference line: where it begins [m, rad], its length [m] and curvature from and to [1/m]."""
 
     x: float
@@ -81,7 +81,7 @@ class OpenRoad:
 
     number: int
     name: str
-    pieces: Sequence[Piece]
+    pieces: Sequence[LinePiece]
     strips: Sequence[Strip]
     elevation: Sequence[Cubic] = ((0.0, 0.0, 0.0, 0.0, 0.0),)
     offset: Sequence[Cubic] = ()
