@@ -23,7 +23,7 @@ from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.reference_line import ReferenceLine
 from synfog_usd.world.roads.roundabout import HOLD_M, TAPER_M, ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Site
-from synfog_usd.world.traffic.xodr import Cubic, Junction, Network, OpenRoad, LinePiece, Strip, write_network
+from synfog_usd.world.traffic.xodr import Cubic, Junction, LinePiece, Network, OpenRoad, Strip, write_network
 
 TYPES = {
     "lane": "driving", "bus": "driving", "parking": "parking", "shoulder": "shoulder", "cycle": "biking",
