@@ -40,9 +40,6 @@ FINE = 1 << 16
 of an aperture by less than 7e-6 lambda N / pitch.
 """
 
-REMEMBERED = 1 << 23
-"""Numbers of transfers that stay from one picture to the next: enough for R, G and B of a full HD picture."""
-
 COPIES = 1 << 27
 """Pixels of spots that are added one by one (4,000 more for each spot); more are added by a transform."""
 
@@ -107,7 +104,7 @@ def blurred(pixels: FloatArray, blurs: Sequence[Blur], limits: Sequence[np.float
     height, width, count = pixels.shape
     result = planar(pixels.shape)
     planes = [result[..., channel] for channel in range(count)]
-    transfers = _transfers(tuple(blurs), height, width)
+    transfers = _transfers(blurs, height, width)
 
     def forth(channel: int) -> tuple[Points, FloatArray]:
         plane = planes[channel]
@@ -145,30 +142,20 @@ def _in_place(transform: Callable[..., FloatArray], plane: FloatArray) -> None:
         plane[...] = spectrum
 
 
-@functools.lru_cache(maxsize=1)
-def _transfers(blurs: tuple[Blur, ...], height: int, width: int) -> Callable[[slice], tuple[Sequence[Array], Array]]:
-    """From rows of a cosine transform, a strip of the picture, to what is left there in each channel, and to the tail's
-    transfer as far as it goes.  They are kept for the next picture where they are not too many.
+def _transfers(blurs: Sequence[Blur], height: int, width: int) -> Callable[[slice], tuple[Iterator[Array], Array]]:
+    """From rows of a cosine transform to what is left there in each channel, and to the tail's transfer as far as it
+    goes.
     """
     factors = _factors(blurs)
     down_2, across_2 = (np.square(0.5 * np.arange(size) / size).astype(np.float32) for size in (height, width))
     scale = blurs[0].tail_scale
     high, wide = _tail_size((height, width), scale) if blurs[0].tail > 0.0 else (0, 0)
 
-    def computed(rows: slice) -> tuple[Sequence[Array], Array]:
+    def of_rows(rows: slice) -> tuple[Iterator[Array], Array]:
         frequency = np.sqrt(down_2[rows, None] + across_2)
-        return tuple(factors(frequency)), tail_transfer(frequency[: max(0, high - rows.start), :wide], scale)
+        return factors(frequency), tail_transfer(frequency[: max(0, high - rows.start), :wide], scale)
 
-    if len(set(blurs)) * height * width > REMEMBERED:
-        return computed
-    ready: dict[int, tuple[Sequence[Array], Array]] = {}
-
-    def remembered(rows: slice) -> tuple[Sequence[Array], Array]:
-        if rows.start not in ready:
-            ready[rows.start] = computed(rows)
-        return ready[rows.start]
-
-    return remembered
+    return of_rows
 
 
 def _factors(blurs: Sequence[Blur]) -> Callable[[FloatArray], Iterator[Array]]:

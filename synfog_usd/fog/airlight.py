@@ -45,8 +45,6 @@ def _brightest(picture: Array) -> Array:
 
 def dark_channel(picture: Array) -> Array:
     """(H, W) least of all channels in the square around each pixel; at the border, of the part that is inside."""
-    least, reach = picture.min(axis=2), PATCH_PX // 2
-    for axis in (0, 1):
-        padded = np.pad(least, [(reach, reach) if axis == a else (0, 0) for a in (0, 1)], constant_values=np.inf)
-        least = np.lib.stride_tricks.sliding_window_view(padded, PATCH_PX, axis=axis).min(axis=-1)
-    return least
+    from scipy.ndimage import minimum_filter
+
+    return np.asarray(minimum_filter(picture.min(axis=2), PATCH_PX, mode="constant", cval=np.inf))
