@@ -90,7 +90,7 @@ def load_file(path: Path, *, error: type[SynfogError] = GraphError) -> Located:
 def load_text(text: str, *, name: str = "<text>", error: type[SynfogError] = GraphError) -> Located:
     """Read YAML from a string; see `load_file`."""
     try:
-        root = _composed(text)
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
         place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
@@ -100,24 +100,6 @@ def load_text(text: str, *, name: str = "<text>", error: type[SynfogError] = Gra
     if root is None:
         raise error(f"{name}: the file is empty")
     return _Builder(name, error).build(root)
-
-
-def _composed(text: str) -> yaml.Node | None:
-    """The nodes of a text, by libyaml where it is there, which is faster; errors are worded as PyYAML words them.
-
-    libyaml builds nodes by recursion in C, which deep nesting would end in a crash: so its events are counted first.
-    """
-    quick = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    try:
-        depth = 0
-        for event in yaml.parse(text, Loader=quick):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > MAX_DEPTH:
-                quick = yaml.SafeLoader
-                break
-        return yaml.compose(text, Loader=quick)
-    except yaml.YAMLError:
-        return yaml.compose(text, Loader=yaml.SafeLoader)
 
 
 def from_python(value: object, *, name: str) -> Located:

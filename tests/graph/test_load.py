@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 
-from synfog_usd.base import resources, yamlio
 from synfog_usd.base.errors import GraphError
 from synfog_usd.camera.graph import drawing, load_graph
 
@@ -243,11 +241,3 @@ def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path, registry):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(GraphError, match="not UTF-8"):
         load_graph(path, registry)
-
-
-def test_libyaml_reads_what_python_reads_in_the_same_places(monkeypatch, name="automotive_hdr"):
-    """Values and places of a shipped graph by PyYAML's own parser, and by the C library."""
-    text = (resources.folder("pipeline") / f"{name}.yaml").read_text()
-    quick = yamlio.load_text(text, name=name)
-    monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
-    assert yamlio.load_text(text, name=name) == quick
