@@ -19,9 +19,9 @@ from synfog_usd.base.arrays import Array, FloatArray, Pixels
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.blur import spectral_weights
-from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.optics import field_angles_rad
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import GraphError, ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.graph import Auto, FromProfile, Node, NodeGraph, Range
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.registry import FOV, OPS
 from synfog_usd.camera.spread import THREADS, highlight_limit
 
@@ -49,9 +50,6 @@ DENSER = 1.05
 
 MARGIN_PX = 4
 """Rendered pixels beyond what the sensor's pixels see, for taps and splines."""
-
-MOST_SHIFT = 10.0
-"""Offset of the axis, in pictures."""
 
 BORDER_POINTS = 100_000
 """Points of each side of the rendered picture, which is 0.01 pixels at 1,000 wide."""
@@ -118,54 +116,6 @@ def distortion(
         pixels += _resampled(image.pixels, warp.row + down, warp.column + right)
     pixels *= np.float32(1.0 / len(warp.taps))
     return image.with_pixels(pixels).with_metadata(**metadata)
-
-
-class Pinhole(NamedTuple):
-    """A picture without distortion: its size, angle of view [degrees], and offset of the axis in widths and heights,
-    right and up.
-    """
-
-    height_px: int
-    width_px: int
-    fov_x_deg: float
-    shift: tuple[float, float]
-
-    @classmethod
-    def of(cls, image: Image, fov_x_deg: float) -> Pinhole:
-        """That of an image, whose provenance may say an offset of the axis (`shift_x`, `shift_y`).
-
-        Raises:
-            ImageError: an offset that is none.
-        """
-        return cls(image.height_px, image.width_px, fov_x_deg, shift_of(image))
-
-    @property
-    def focal_px(self) -> float:
-        """Focal length [px]."""
-        return self.width_px / 2 / math.tan(math.radians(self.fov_x_deg) / 2)
-
-    @property
-    def axis_px(self) -> tuple[float, float]:
-        """Column and row of the axis [px]."""
-        return (self.width_px - 1) / 2 + self.shift[0] * self.width_px, (self.height_px - 1) / 2 - self.shift[
-            1
-        ] * self.height_px
-
-
-def shift_of(image: Image) -> tuple[float, float]:
-    """Offset of the axis from a picture's centre, in widths and heights, right and up; 0 where it says none.
-
-    Raises:
-        ImageError: it says no number within 10.
-    """
-    offset = image.provenance.get("shift_x", 0.0), image.provenance.get("shift_y", 0.0)
-    try:
-        right, up = float(offset[0]), float(offset[1])
-    except (TypeError, ValueError):
-        right = up = math.nan
-    if not (abs(right) <= MOST_SHIFT and abs(up) <= MOST_SHIFT):
-        raise ImageError(f"the image's shift_x and shift_y are {offset[0]!r} and {offset[1]!r}; each is from -10 to 10")
-    return right, up
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import spread
-from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.flare import aperture, enlarged
 from synfog_usd.camera.graph import FromProfile, Range
 from synfog_usd.camera.paraxial import Drawing, Ghost
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.profiles import LensProfile
 from synfog_usd.camera.registry import OPS
 

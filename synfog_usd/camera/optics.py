@@ -16,9 +16,10 @@ from synfog_usd.base.arrays import Array, FloatArray, planar, strips
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.fisheye import Fisheye
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.distortion import Pinhole, source_of, warped_like
+from synfog_usd.camera.distortion import source_of, warped_like
 from synfog_usd.camera.fisheye import angles_rad, of_picture
 from synfog_usd.camera.graph import FromProfile, Range
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.profiles import LensProfile
 from synfog_usd.camera.registry import FOV, OPS
 

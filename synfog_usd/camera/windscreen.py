@@ -11,8 +11,8 @@ from synfog_usd.base import photometry
 from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.graph import Range
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.registry import FOV, OPS
 
 GREEN_NM = (380.0, 400.0, 420.0, 450.0, 500.0, 530.0, 560.0, 600.0, 650.0, 700.0, 780.0)

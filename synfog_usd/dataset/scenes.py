@@ -16,8 +16,8 @@ from synfog_usd.dataset.plan import CLEAR, BakePlan, Shot
 if TYPE_CHECKING:
     from synfog_usd.base.fisheye import Fisheye
     from synfog_usd.base.notes import Note
-    from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.camera.graph import NodeGraph
+    from synfog_usd.camera.pinhole import Pinhole
     from synfog_usd.scene import Camera, SceneDict
 
 
@@ -173,7 +173,7 @@ def size_of(pinhole: Pinhole) -> dict[str, Any]:
 
 def pinhole_of(view: Camera) -> Pinhole:
     """A camera without its lens: size, angle and where its axis is."""
-    from synfog_usd.camera.distortion import Pinhole
+    from synfog_usd.camera.pinhole import Pinhole
 
     return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.axis_shift)
 

@@ -20,9 +20,9 @@ from synfog_usd.dataset.session import Renderer, Session
 if TYPE_CHECKING:
     import numpy as np
 
-    from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
+    from synfog_usd.camera.pinhole import Pinhole
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.picture import Rendered
     from synfog_usd.render.shot import Settings

@@ -21,9 +21,9 @@ from synfog_usd.dataset.shot import RenderedShot, density_of, pixel_noise, senso
 if TYPE_CHECKING:
     import numpy as np
 
-    from synfog_usd.camera.distortion import Pinhole
     from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
+    from synfog_usd.camera.pinhole import Pinhole
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.picture import Rendered

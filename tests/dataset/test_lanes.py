@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from synfog_usd.camera.distortion import Pinhole, warp_of
+from synfog_usd.camera.distortion import warp_of
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.dataset import lanes, masks
 from synfog_usd.render.film import aovs
 from synfog_usd.render.load import to_mitsuba

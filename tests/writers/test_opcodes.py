@@ -10,8 +10,8 @@ import pytest
 import tifffile
 
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.camera.distortion import Pinhole
 from synfog_usd.camera.optics import FalloffShape, cone_of, falloff_map
+from synfog_usd.camera.pinhole import Pinhole
 from synfog_usd.camera.writers import write_output
 from synfog_usd.camera.writers.opcodes import opcode_list
 

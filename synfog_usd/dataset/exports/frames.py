@@ -97,7 +97,8 @@ class LabelledPicture(PictureKey):
         """
         from synfog_usd.base.image import Quantity
         from synfog_usd.camera import writers
-        from synfog_usd.camera.distortion import Pinhole, warp_of
+        from synfog_usd.camera.distortion import warp_of
+        from synfog_usd.camera.pinhole import Pinhole
 
         layers = writers.read_exr(self.files["layers.exr"], quantity=Quantity.DATA, channels=["transmittance.Y"])
         plane = layers.pixels[:, :, 0]

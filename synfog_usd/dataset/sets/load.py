@@ -403,8 +403,9 @@ class _SetReader:
         """Whether every pipeline can develop the radiance that is rendered for the first."""
         from synfog_usd import camera
         from synfog_usd.camera import fisheye
-        from synfog_usd.camera.distortion import Pinhole, to_render
+        from synfog_usd.camera.distortion import to_render
         from synfog_usd.camera.exposure import moments_of
+        from synfog_usd.camera.pinhole import Pinhole
 
         view = None
         for index, path in enumerate(definition.pipelines):
