@@ -171,16 +171,6 @@ def check_space(*, metres_per_unit: float | None, up: str | None) -> None:
         raise ParameterError(f"--up {up}: it takes X, Y or Z")
 
 
-def check_distance(metres: float | None) -> None:
-    """Refuse a distance within which nothing can be.
-
-    Raises:
-        ParameterError: with the number.
-    """
-    if metres is not None and not 0.0 < metres < math.inf:
-        raise ParameterError(f"--max-distance {metres:g}: it takes metres above 0")
-
-
 def seconds_of(text: str, option: str = "--exposure") -> float:
     """Seconds of 1/200 or 0.005.
 

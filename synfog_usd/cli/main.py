@@ -8,7 +8,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -121,13 +121,6 @@ def check(
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
     choices: options.Choices = None,
     allow: options.Allow = None,
-    fix: Annotated[
-        Path | None,
-        typer.Option(
-            help="Layer to write over STAGE with what can be mended without a choice; that is then checked.",
-            show_default=False,
-        ),
-    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Tell what in STAGE is wrong or unusual, how to mend it, and what a bake makes simpler; exit code 2 where a bake
@@ -138,19 +131,12 @@ def check(
     worker.follow_parent()
     from synfog_usd.dataset import check as verb
 
-    read: dict[str, Any] = {"allow": allow or [], "choices": choices or []}
     with worker.reading_limits():
-        fixes = None
-        if fix is not None:
-            fixes = verb.mended(stage, fix, **read)
-            stage = fix
-        findings, notes, light = verb.look(stage, **read)
+        findings, notes, light = verb.look(stage, allow=allow or [], choices=choices or [])
     code = verb.exit_code(findings, notes, strict=strict)
     if as_json:
-        print(verb.as_json(stage, findings, notes, code, light, fixes))
+        print(verb.as_json(stage, findings, notes, code, light))
     else:
-        for line in fixes or []:
-            print(f"mended: {line}")
         print(verb.as_text(stage, findings, notes, light))
     raise typer.Exit(code)
 
@@ -640,8 +626,8 @@ GONE = {
         "--adaptation": "call sf.bake(..., frames='0:90', adaptation=0.3)",
         "--shutter": "write shutter:open and shutter:close of the camera, or call sf.bake(..., shutter=0.01)",
         "--lights": "call sf.bake(..., lights='metric')",
-        "--max-distance": "call sf.bake(..., max_distance=200)",
-        "--mask": "call sf.bake(..., mask=['/World/Street'])",
+        "--max-distance": "switch far models off (active = false) in a layer over the stage",
+        "--mask": "switch all else off (active = false) in a layer over the stage",
         "--model": "call sf.bake(..., model='volpath'); synfog-usd chart compares models",
         "--same-noise": "a set's file takes 'same_noise: true', and Python sf.bake(..., same_noise=True)",
         "--strict": "synfog-usd check STAGE --strict tells before a bake; or call sf.bake(..., strict=True)",

@@ -97,8 +97,6 @@ OPTIONS: dict[str, Reader] = {
     "exposure": seconds,
     "iso": number,
     "ev": number,
-    "max_distance": number,
-    "mask": names,
     "resolution": _size,
     "model": word,
     "quality": lambda value, option: value,  # the plan itself looks at it
@@ -117,7 +115,6 @@ OPTIONS: dict[str, Reader] = {
 _ATTRIBUTE = {
     "choose": "choices",
     "exposure": "exposure_s",
-    "max_distance": "max_distance_m",
     "meters_per_unit": "metres_per_unit",
     "resolution": "size",
     "shutter": "shutter_s",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import os
@@ -19,10 +18,8 @@ from synfog_usd.base.values import check_words
 from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.plan import AS_AUTHORED
-from synfog_usd.render.load import refusal
-from synfog_usd.stage import mend, rulebook, rules
+from synfog_usd.stage import rulebook, rules
 from synfog_usd.translate import Exchange, outdoors, why_black
-from synfog_usd.translate.coincident import Overlap, coincident
 
 if TYPE_CHECKING:
     from synfog_usd.base.notes import Note
@@ -35,9 +32,6 @@ Line = TypeVar("Line")
 GRAVEST_FIRST = ("error", "warning", "info")
 MOST_LETTERS = 500
 """Of a path or a text that is printed; JSON has all of it."""
-
-MOST_OVERLAPS = 20
-"""Most pairs of prims with coincident faces that are listed."""
 
 ERRORS, WARNINGS_UNDER_STRICT, CLEAN = 2, 1, 0
 
@@ -112,7 +106,6 @@ def look(
     first = _placed(opened, usd.check(opened))
     findings = dict.fromkeys(first)
     light: dict[str, str] = {}
-    overlaps: list[Overlap] | None = None
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     exchange: Exchange | None = None
     try:
@@ -124,62 +117,23 @@ def look(
             if usd.cameras(opened):
                 scene = exchange.within(opened) if exchange is not None and not lighting else None
                 if scene is None:
-                    exchange = Exchange(opened, before=exchange, refusal=refusal)
+                    exchange = Exchange(opened, before=exchange)
                     scene = exchange.scene
                     light.setdefault(lighting or AS_AUTHORED, str(outdoors(scene)))
                     why = None if any(finding.rule == "no-light" for finding in findings) else why_black(scene)
                     if why is not None:  # and so in any fog
                         findings[rulebook.finding("black", scene.camera.path, why)] = None
                 notes |= dict.fromkeys(scene.notes)
-                overlaps = coincident(scene) if overlaps is None else overlaps  # lighting and fog move no faces
     except StageError as problem:
         findings[rulebook.finding(getattr(problem, "rule", "refused"), getattr(problem, "path", ""), str(problem))] = (
             None
         )
-    for finding in (overlaps or [])[:MOST_OVERLAPS]:
-        where = ", ".join(f"{x:.2f}" for x in finding.place)
-        text = (
-            f"{finding.faces} pairs of its faces and those of {finding.other} lie in one another, the first near "
-            f"({where}) m"
-        )
-        findings[rulebook.finding("coincident-faces", finding.one, text)] = None
     if in_fog:  # one variant with fog, and one in which the camera is in it, are enough
         always = set.intersection(*in_fog)
         findings = {finding: None for finding in findings if finding.rule not in _OF_ALL_FOGS or finding in always}
     texts = {(finding.path, finding.text) for finding in findings}
     remaining = [note for note in notes if (note.path, note.text) not in texts]
     return sorted(findings, key=lambda finding: GRAVEST_FIRST.index(finding.severity)), remaining, light
-
-
-def mended(
-    stage: Path,
-    out: Path,
-    *,
-    allow: Sequence[Path] = (),
-    choices: Sequence[str] = (),
-    metres_per_unit: float | None = None,
-    up: str | None = None,
-) -> list[str]:
-    """Write a layer over the stage with what can be mended without a choice; a line for each fix, see `stage.mend`.
-
-    Raises:
-        StageError: the stage cannot be opened, or has no such choice.
-        OutputError: as `stage.mend.write` has it.
-    """
-    opened = usd.open_stage(stage, allow=allow)
-    usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
-    findings: dict[Finding, None] = {}
-    users: list[rules.RoadUser] = []
-    changed = bool(choices) or metres_per_unit is not None or up is not None
-    with contextlib.suppress(StageError):  # of a variant beyond a budget: the look that follows tells it
-        for _, chosen in _variants(opened):
-            changed |= chosen
-            more, users = rules.fixable(opened)
-            findings |= dict.fromkeys(_placed(opened, more))
-    if changed:
-        opened = usd.open_stage(stage, allow=allow)
-        users = rules.fixable(opened)[1]
-    return mend.write(opened, findings, out, users=users, allow=allow)
 
 
 _OF_ALL_FOGS = frozenset({"no-fog", "camera-outside-fog"})
@@ -217,15 +171,11 @@ def as_json(
     notes: Sequence[Note],
     code: int,
     light: Mapping[str, str] = NOTHING,
-    fixes: Sequence[str] | None = None,
 ) -> str:
-    """One object: 'stage', 'fixes' where any were asked for, 'exit_code', 'counts', 'light', 'findings',
-    'translation'.
-    """
+    """One object: 'stage', 'exit_code', 'counts', 'light', 'findings', 'translation'."""
     return json.dumps(
         {
             "stage": str(stage),
-            **({} if fixes is None else {"fixes": list(fixes)}),
             "exit_code": code,
             "counts": {
                 severity: sum(finding.severity == severity for finding in findings) for severity in GRAVEST_FIRST

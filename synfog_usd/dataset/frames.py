@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from synfog_usd.scene import Instance, SceneDict
 
 OF_SCENE = (
-    *("frame", "lights", "light_scale", "choose", "meters_per_unit", "up", "shutter", "max_distance"),
-    *("mask", "allow", "exposure", "iso", "ev", "variant"),
+    *("frame", "lights", "light_scale", "choose", "meters_per_unit", "up", "shutter", "allow"),
+    *("exposure", "iso", "ev", "variant"),
 )
 """Options of a bake that `load` takes too."""
 
@@ -194,7 +194,7 @@ def load(
             if left out. A fisheye's or a distorting lens changes what is rendered.
         resolution: (width, height) [px]; the stage's own if left out.
         options: of `synfog-usd bake`, with _ for -: frame, lights, light_scale, choose, meters_per_unit, up,
-            shutter, max_distance, mask, allow, exposure, iso, ev, variant.
+            shutter, allow, exposure, iso, ev, variant.
 
     Raises:
         SynfogError: with place and fix.

@@ -138,8 +138,7 @@ def bake(
             Python has alone: `model` ('path', 'single', 'volpath', 'volpathmis'); `strict` (stop at a warning);
             `same_noise` (all fogs of a lighting have the temporal noise of its clear frame); `meter` ('each' camera of
             several by itself); `adaptation` (of the exposure of `frames` [s], 0.3); `shutter` (time for which it is
-            open [s]); `lights` (how intensities are meant: 'usd', 'blender', 'rtx-legacy', 'metric'); `max_distance`
-            (of models that are loaded, from the camera [m]); `mask` (prims of which alone the stage is made);
+            open [s]); `lights` (how intensities are meant: 'usd', 'blender', 'rtx-legacy', 'metric');
             `meters_per_unit` and `up` (instead of the stage's own).
 
     Returns:

@@ -68,8 +68,6 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "choices": list(plan.choices),
             "metres_per_unit": plan.metres_per_unit,
             "up": plan.up,
-            "max_distance_m": plan.max_distance_m,
-            "mask": list(plan.mask),
             "variant": variant,
             **({"same_noise": True} if plan.same_noise else {}),
             **({"rig": list(plan.rig), "meter": plan.meter} if plan.rig else {}),

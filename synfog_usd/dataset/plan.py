@@ -97,8 +97,6 @@ class BakePlan:
         shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
         exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
         ev: by how many stops the pictures are exposed brighter than the meter says.
-        max_distance_m: beyond which models are left unloaded, see `stage.keep_near`.
-        mask: prims of which alone the stage is made, with what sees and lights them, see `stage.open_stage`.
         choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
         allow: folders outside the stage's own in which its files may lie.
         clip: what frame of a sequence it is, or None.
@@ -133,8 +131,6 @@ class BakePlan:
     exposure_s: float | None = None
     iso: float | None = None
     ev: float = 0.0
-    max_distance_m: float | None = None
-    mask: tuple[str, ...] = ()
     allow: tuple[Path, ...] = ()
     clip: ClipFrame | None = None
     draft: bool = False
@@ -156,7 +152,6 @@ class BakePlan:
         numbers.check_light(self.light_scale)
         numbers.check_frame(self.frame)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
-        numbers.check_distance(self.max_distance_m)
         numbers.check_shutter(self.shutter_s)
         numbers.check_exposure(exposure_s=self.exposure_s, iso=self.iso, ev=self.ev)
         numbers.check_bands(self.bands)

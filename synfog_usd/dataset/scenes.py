@@ -5,7 +5,6 @@ Takes an opened stage, a plan and a graph; gives a scene for a shot, as wide and
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -48,8 +47,7 @@ class Scenes:
     def of(self, shot: Shot) -> SceneDict:
         """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
         from synfog_usd import stage as usd
-        from synfog_usd.render.load import refusal
-        from synfog_usd.translate import Exchange, outdoors, translate
+        from synfog_usd.translate import Exchange, View, outdoors
 
         if shot in self.known:
             return self.known[shot]
@@ -60,14 +58,10 @@ class Scenes:
             lighting=shot.lighting_variant or self.authored.get("lighting"),
         )
         first = plan.rig[0] if plan.rig else plan.camera
-        choices: dict[str, Any] = {"camera": first, "frame": plan.frame, "resolution": plan.size}
-        choices |= {"lights": plan.lights, "light_scale": plan.light_scale}
-        choices["refusal"] = functools.partial(refusal, variant=plan.variant)  # type: ignore[arg-type]
+        view = View(first, plan.frame, plan.size, shot.fog_override, plan.lights, plan.light_scale)
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
-            self.lightings[shot.lighting] = Exchange(
-                self.stage, **choices, rig=plan.rig[1:], fog=shot.fog_override, before=before
-            )
+            self.lightings[shot.lighting] = Exchange(self.stage, view, rig=plan.rig[1:], before=before)
         entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
             self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.light_scale)
@@ -76,7 +70,7 @@ class Scenes:
             return self.known[shot]
         scene = entry.within(self.stage, fog=shot.fog_override, camera=plan.camera)
         if scene is None:
-            return self.through_lens(translate(self.stage, **choices | {"camera": plan.camera}, fog=shot.fog_override))
+            return self.through_lens(Exchange(self.stage, replace(view, camera=plan.camera)).scene)
         self.known[shot] = self.through_lens(scene)
         return self.known[shot]
 

@@ -120,7 +120,7 @@ def _read(plan: BakePlan, codes: Sequence[float]) -> tuple[float, bool, list[str
     """Time codes a second of the stage, whether nothing in it changes, and its lightings."""
     from synfog_usd import stage as usd
 
-    stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
+    stage = usd.open_stage(plan.stage, allow=plan.allow)
     usd.override(stage, choices=plan.choices)
     rate, still = float(stage.GetTimeCodesPerSecond()), len(codes) > 1 and _stands_still(stage, plan, codes)
     return rate, still, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))

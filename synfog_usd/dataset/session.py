@@ -117,7 +117,7 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
     graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
     check_compensation(graph, plan.ev)
     with reading():
-        stage = usd.open_stage(plan.stage, allow=plan.allow, mask=plan.mask)
+        stage = usd.open_stage(plan.stage, allow=plan.allow)
         if plan.choices or any(value is not None for value in (plan.metres_per_unit, plan.up, plan.shutter_s)):
             usd.override(
                 stage,
@@ -132,8 +132,6 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
         if rig and names is None:
             cameras = (own_path,)
         plan = replace(plan, rig=rig or (tuple(value for value in cameras if value) if len(cameras) > 1 else ()))
-        if plan.max_distance_m is not None:
-            usd.keep_near(stage, plan.max_distance_m, cameras=plan.rig or cameras, frame=plan.frame)
     session = Session(plan, graph, stage, cameras, Renderer(plan))
     for value in (*cameras, *plan.rig):
         session.scenes(value)  # before a shot chooses variants

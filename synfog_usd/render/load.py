@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import gc
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
-import drjit as dr
 import numpy as np
 
 from synfog_usd.base.errors import StageError
@@ -268,51 +266,6 @@ def make_bsdf(part: Mapping[str, Any]) -> BSDF:
         }
 
     return mi.load_dict(convert(part))
-
-
-def refusal(part: Mapping[str, Any], variant: backend.VariantName | None = None) -> str:
-    """Why Mitsuba does not draw a surface, in its own words; '' where it does.
-
-    The surface is made with its pictures cut to a few texels, and asked at one point of a mesh.
-
-    Args:
-        part: BSDF, in the words of a `SceneDict`.
-        variant: in which it is to be drawn; None for the one in force, or else the best.
-
-    Raises:
-        BackendError: the variant does not run here.
-    """
-    if variant is not None:
-        backend.start(variant)
-    mi = backend.mitsuba()
-    try:
-        bsdf = make_bsdf(_few_texels(part))
-        corners = np.eye(3, dtype=np.float32)
-        words = {"positions": corners, "texcoords": corners[:, :2], "vertex_color": corners, "faces": [[0, 1, 2]]}
-        point = dr.zeros(mi.SurfaceInteraction3f)
-        mesh = _mesh(mi, words, "point")
-        point.shape = mesh if backend.is_scalar() else mi.ShapePtr(mesh)
-        point.uv, point.wi, point.sh_frame = mi.Point2f(0.3), mi.Vector3f(0.0, 0.6, 0.8), mi.Frame3f([0.0, 0.0, 1.0])
-        point.dp_du, point.dp_dv = mi.Vector3f(1.0, 0.0, 0.0), mi.Vector3f(0.0, 1.0, 0.0)
-        bsdf.eval_pdf_sample(mi.BSDFContext(), point, mi.Vector3f(0.0, 0.0, 1.0), mi.Float(0.5), mi.Point2f(0.5))
-        bsdf.eval_null_transmission(point)
-    except (RuntimeError, TypeError, ValueError) as error:
-        return _plain(error)
-    return ""
-
-
-def _few_texels(part: Mapping[str, Any]) -> dict[str, Any]:
-    """A surface whose pictures have two by two texels, the first ones."""
-    return {
-        name: _few_texels(value) if isinstance(value, Mapping) else value[:2, :2] if name == "bitmap" else value
-        for name, value in part.items()
-    }
-
-
-def _plain(error: Exception) -> str:
-    """The last of Mitsuba's sentences, without the names of its files and classes, and what objects hold."""
-    words = re.sub(r"\[ .* \]", "", " ".join(str(error).split()))
-    return re.sub(r"^.*\[[\w.:\[\]]+\] ", "", words) or type(error).__name__
 
 
 def resized(loaded: MitsubaScene, size: tuple[int, int]) -> MitsubaScene:

@@ -1,6 +1,5 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
-from synfog_usd.stage.near import keep_near
 from synfog_usd.stage.open import (
     MISSING,
     authored_path,
@@ -33,7 +32,6 @@ __all__ = [
     "check",
     "composition_notes",
     "dependencies",
-    "keep_near",
     "named_cameras",
     "offered",
     "open_stage",

@@ -25,14 +25,12 @@ TRUSTED = "SYNFOG_USD_LARGE"
 """Environment variable that lifts `MAX_PRIMS`, `MAX_FOGS`, `MAX_LAMPS`: the user trusts the stage and waits."""
 
 MAX_PRIMS = 100_000
-"""Prims and references to compose, all variants counted.  Each takes 0.15 to 0.4 ms to compose, check and translate,
-shapes the most, and 5 to 9 kB.
-"""
+"""Prims and references to compose, all variants counted; each takes up to 0.4 ms and 9 kB."""
 
 MAX_PRIMS_TRUSTED = 2_000_000
 
 MAX_FOGS = 200
-"""Fog volumes of one picture: a kernel looks at each of them for each stretch of a path."""
+"""Fog volumes of one picture: a kernel tests each of them for each stretch of a path."""
 
 MAX_FOGS_TRUSTED = 1000
 
@@ -111,7 +109,7 @@ def most_lamps() -> int:
 
 
 def trusting(limit: int) -> str:
-    """What to tell somebody whose stage is refused by one of the limits that trust lifts; '' where it is lifted."""
+    """End of an error at a limit that trust lifts; '' where it is lifted."""
     return "" if _trusted() else f", or set {TRUSTED}=1 if you trust the stage and can wait (at most {limit} then)"
 
 
@@ -144,18 +142,18 @@ class _Counter:
     def __init__(self, stage: Usd.Stage) -> None:
         self.stage = stage
         self.prims = self.triangles = 0
-        self.known: dict[str, int] = {}
+        self.counts: dict[str, int] = {}
         self.largest: tuple[str, int] = ("", 0)
         self.heaviest: tuple[str, int] = ("", 0)
 
     def shapes(self, root: Usd.Prim, depth: int) -> int:
         """Shapes and lights below `root`, instances counted; a prototype is walked once."""
         name = str(root.GetPath())
-        if name in self.known:
-            return self.known[name]
+        if name in self.counts:
+            return self.counts[name]
         if depth > MAX_NESTED:
             raise StageError(f"{name}: instances nested deeper than {MAX_NESTED} levels; flatten some")
-        self.known[name] = 0  # of an instancer within its own prototype, which the walk reports
+        self.counts[name] = 0  # of an instancer within its own prototype, which the walk reports
         total = 0
         for prim in Usd.PrimRange(root):
             path = prim.GetPath()
@@ -178,7 +176,7 @@ class _Counter:
             total += count
             if depth == 0 and count > self.largest[1]:
                 self.largest = (str(path), count)
-        self.known[name] = total
+        self.counts[name] = total
         return total
 
     def points(self, prim: Usd.Prim, depth: int) -> int:
@@ -218,7 +216,7 @@ def _points_of(prim: Usd.Prim) -> int:
 
 
 def amount(number: int) -> str:
-    """A count as a person reads it: 2 000 000, and above 10^12 as a power of ten.
+    """A count with spaces between thousands; a large one as a power of ten.
 
     >>> amount(1_234_567), amount(2**80)
     ('1 234 567', '10^24')

@@ -6,27 +6,32 @@ the library of MaterialX reads the file.  Files that this one includes are not r
 
 from __future__ import annotations
 
+import functools
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-from xml.parsers import expat
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdShade
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import srgb_decode
 from synfog_usd.base.errors import StageError
 from synfog_usd.base.fence import Fence
 
-MAX_BYTES = 16 << 20
-"""Of one file; the largest of public libraries has 2 MB."""
+if TYPE_CHECKING:
+    import MaterialX
 
-MAX_ELEMENTS = 50_000
+MAX_BYTES = 16 << 20
+"""Largest file that is read [byte]; the largest of public libraries has 2 MB."""
+
 MAX_DEPTH = 32
-"""Levels of nested elements; the library calls itself for each."""
+"""Inputs of node graphs within each other that are followed."""
 
 ENDING = ".usda"
-"""What the name of a layer in memory has behind that of its file."""
+"""Ending that the name of a layer in memory has behind that of its file."""
 
 _TYPES = Sdf.ValueTypeNames
 _VALUES = {
@@ -50,17 +55,17 @@ _AP1_TO_REC709 = np.array(
 )
 """ACEScg to linear Rec.709, white adapted by Bradford's method.  Source: ACES technical bulletin TB-2014-004."""
 
-_kept: dict[str, Any] = {}
-"""Layers by identifier: a variant that is chosen later finds its own."""
+_layers: dict[str, Sdf.Layer] = {}
+"""Layers by identifier, for variants that are chosen later."""
 
 _faults: dict[str, str] = {}
 _left_out: dict[str, list[str]] = {}
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _WHOLE = re.compile(r"[+-]?\d+")
-"""How a number begins; MaterialX's own reader asks for no more of it, as C++ does of a stream."""
+"""Beginning of a number, after which MaterialX's own reader stops."""
 
 MAX_NUMBER = 3.4e38
-"""Of a float in USD."""
+"""Largest float in USD."""
 
 
 class _NoMaterialXError(Exception):
@@ -96,7 +101,7 @@ def left_out_of(file: str) -> list[str]:
     return _left_out.get(file, [])
 
 
-def layer_of(file: str, fence: Fence) -> Any | None:
+def layer_of(file: str, fence: Fence) -> Sdf.Layer | None:
     """The materials of a .mtlx file as a layer in memory that is never saved, or None; `fault_of` then says why.
 
     Its prims are /MaterialX/Materials/<name>, each with all shaders that it uses.  It stays in memory under
@@ -112,34 +117,35 @@ def layer_of(file: str, fence: Fence) -> Any | None:
     _faults.pop(file, None)
     _left_out[file] = []
     try:
-        made = _layer(_text(file), file, fence, _left_out[file])
+        text = _layer(_text(file), file, fence, _left_out[file])
     except _NoMaterialXError as problem:
         _faults[file] = str(problem)
         return None
     name = name_of(file)
-    if name not in _kept:
-        _kept[name] = Sdf.Layer.New(Sdf.FileFormat.FindById("usda"), name)
-        _kept[name].SetPermissionToSave(False)
-    if _kept[name].ExportToString() != made:
-        _kept[name].ImportFromString(made)
-    return _kept[name]
+    if name not in _layers:
+        _layers[name] = Sdf.Layer.New(Sdf.FileFormat.FindById("usda"), name)
+        _layers[name].SetPermissionToSave(False)
+    if _layers[name].ExportToString() != text:
+        _layers[name].ImportFromString(text)
+    return _layers[name]
 
 
 def pictures(file: str) -> list[str]:
     """Paths of the pictures that a .mtlx file names, where these are there; tiles too."""
-    found: list[str] = []
-    layer = _kept.get(name_of(file))
-
-    def visit(path: Any) -> None:
+    layer = _layers.get(name_of(file))
+    if layer is None:
+        return []
+    paths: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    files: list[str] = []
+    for path in paths:
         spec = layer.GetAttributeAtPath(path) if path.IsPropertyPath() else None
         if spec is not None and isinstance(spec.default, Sdf.AssetPath) and spec.default.path:
             named = Sdf.ComputeAssetPathRelativeToLayer(layer, spec.default.path)
             tiles = [tile for tile, _ in UsdShade.UdimUtils.ResolveUdimTilePaths(named, layer)] if "<" in named else []
-            found.extend(tiles or [resolved for resolved in [str(Ar.GetResolver().Resolve(named))] if resolved])
-
-    if layer is not None:
-        layer.Traverse(Sdf.Path.absoluteRootPath, visit)
-    return found
+            resolved = str(Ar.GetResolver().Resolve(named))
+            files.extend(tiles or ([resolved] if resolved else []))
+    return files
 
 
 def _text(file: str) -> str:
@@ -151,52 +157,12 @@ def _text(file: str) -> str:
     if asset.GetSize() > MAX_BYTES:
         raise _NoMaterialXError(f"{asset.GetSize()} bytes; at most {MAX_BYTES} are read")
     data = bytes(asset.GetBuffer() or b"")
-    encoding = _check(data)
+    declared = re.match(rb"""\s*<\?xml[^>]*encoding\s*=\s*["']([\w.-]+)""", data)
+    encoding = declared[1].decode() if declared else "utf-8"
     try:
-        return data.decode("utf-8-sig" if encoding.lower() in ("", "utf-8") else encoding)
+        return data.decode("utf-8-sig" if encoding.lower() == "utf-8" else encoding)
     except (UnicodeDecodeError, LookupError):
-        raise _NoMaterialXError(f"not {encoding or 'UTF-8'}, in which it says to be") from None
-
-
-def _check(data: bytes) -> str:
-    """Refuse XML with a document type, with too many elements, or nested too deeply.
-
-    Returns:
-        the encoding that it declares, or ''.
-
-    Raises:
-        _NoMaterialXError: it is, or no XML at all.
-    """
-    parser = expat.ParserCreate()
-    depth = count = 0
-    declared = ""
-
-    def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
-        nonlocal declared
-        declared = encoding or ""
-
-    def begin(name: str, attributes: dict[str, str]) -> None:
-        nonlocal depth, count
-        depth, count = depth + 1, count + 1
-        if depth > MAX_DEPTH or count > MAX_ELEMENTS:
-            raise _NoMaterialXError(f"more than {MAX_ELEMENTS} elements, or nested deeper than {MAX_DEPTH} levels")
-        if count == 1 and name != "materialx":
-            raise _NoMaterialXError(f"its root element is {name[:40]!r}, and not 'materialx'")
-
-    def end(name: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def document_type(*_: object) -> None:
-        raise _NoMaterialXError("it declares a document type, which no MaterialX file needs")
-
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = document_type, declaration
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as problem:
-        raise _NoMaterialXError(f"no XML: {problem}") from None
-    return declared
+        raise _NoMaterialXError(f"not {encoding}, in which it says to be") from None
 
 
 def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:
@@ -210,7 +176,7 @@ def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:
     document = mx.createDocument()
     try:
         mx.readFromXmlString(document, text, mx.FileSearchPath(), options)
-        document.setDataLibrary(_definitions(mx))
+        document.setDataLibrary(_definitions())
         stage = Usd.Stage.CreateInMemory()
         stage.SetDefaultPrim(stage.DefinePrim("/MaterialX"))
         stage.DefinePrim("/MaterialX/Materials", "Scope")
@@ -226,7 +192,7 @@ def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:
     return str(stage.GetRootLayer().ExportToString())
 
 
-def _failures(mx: Any) -> tuple[type[BaseException], ...]:
+def _failures(mx: ModuleType) -> tuple[type[BaseException], ...]:
     return (mx.Exception, OSError, RuntimeError, LookupError, TypeError, ValueError, Tf.ErrorException)
 
 
@@ -234,25 +200,22 @@ def _short(problem: BaseException) -> str:
     return " ".join(str(problem).split())[:200] or type(problem).__name__
 
 
-_library: list[Any] = []
-
-
-def _definitions(mx: Any) -> Any:
+@functools.cache
+def _definitions() -> MaterialX.Document:
     """MaterialX's own nodes."""
-    if not _library:
-        made = mx.createDocument()
-        mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), made)
-        _library.append(made)
-    return _library[0]
+    import MaterialX as mx  # noqa: N813 - as its own pages do
+
+    library = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
+    return library
 
 
 def is_node(identifier: str) -> bool:
     """Whether MaterialX has a node of this name, as ND_standard_surface_surfaceshader; USD's wheel knows none."""
     try:
-        import MaterialX as mx  # noqa: N813 - as its own pages do
+        return _definitions().getNodeDef(identifier) is not None
     except ImportError:
         return False
-    return _definitions(mx).getNodeDef(identifier) is not None
 
 
 class _Writer:
@@ -261,9 +224,9 @@ class _Writer:
     def __init__(self, material: UsdShade.Material, file: str, fence: Fence, left_out: list[str]) -> None:
         self.material, self.fence, self.left_out = material, fence, left_out
         self.file = Path(file)
-        self.made: dict[str, UsdShade.Shader] = {}
+        self.shaders: dict[str, UsdShade.Shader] = {}
 
-    def surfaces(self, shaders: Any) -> None:
+    def surfaces(self, shaders: Sequence[MaterialX.Node]) -> None:
         """The material's own outputs, and all that leads to them."""
         for shader in shaders:
             output = self.shader(shader).CreateOutput("out", _TYPES.Token)
@@ -272,80 +235,86 @@ class _Writer:
             elif shader.getType() == "displacementshader":
                 self.material.CreateDisplacementOutput("mtlx").ConnectToSource(output)
 
-    def shader(self, node: Any) -> UsdShade.Shader:
+    def shader(self, node: MaterialX.Node) -> UsdShade.Shader:
         """The node and all that it is fed by; without recursion, because a chain may be long."""
-        first = self.named(node)
+        first = self.prim_of(node)
         waiting = [node]
         while waiting:
             node = waiting.pop()
-            made = self.named(node)
+            shader = self.prim_of(node)
             definition = node.getNodeDef()
-            made.CreateIdAttr(definition.getName() if definition else f"ND_{node.getCategory()}_{node.getType()}")
+            shader.CreateIdAttr(definition.getName() if definition else f"ND_{node.getCategory()}_{node.getType()}")
             for source in node.getInputs():
-                name, given = source.getName(), source
-                for _ in range(MAX_DEPTH):  # inputs of node graphs around it
-                    outer = given.getInterfaceInput() if given.hasInterfaceName() else None
-                    if outer is None:
-                        break
-                    given = outer
-                kind = _VALUES.get(source.getType(), _TYPES.Token)
-                feeding = given.getConnectedNode()
+                feeding = self.input(shader, source)
                 if feeding is not None:
-                    output = given.getConnectedOutput()
-                    channel = (output.getOutputString() if output is not None else given.getOutputString()) or "out"
-                    if output is not None and not output.getNodeName():
-                        channel = "out"
-                    known = feeding.getNamePath() in self.made
-                    fed = self.named(feeding)
-                    if not known:
-                        waiting.append(feeding)
-                    made.CreateInput(name, kind).ConnectToSource(
-                        fed.CreateOutput(Tf.MakeValidIdentifier(channel), _VALUES.get(feeding.getType(), kind))
-                    )
-                elif given.getValueString():
-                    self.value(made, name, kind, given)
+                    waiting.append(feeding)
         return first
 
-    def named(self, node: Any) -> UsdShade.Shader:
-        path = node.getNamePath()
-        if path not in self.made:
-            name = Tf.MakeValidIdentifier(path.replace("/", "_"))
-            while name in {str(one.GetPrim().GetName()) for one in self.made.values()}:
-                name += "_"
-            stage, place = self.material.GetPrim().GetStage(), self.material.GetPath().AppendChild(name)
-            self.made[path] = UsdShade.Shader.Define(stage, place)
-        return self.made[path]
+    def input(self, shader: UsdShade.Shader, source: MaterialX.Input) -> MaterialX.Node | None:
+        """One input of a shader; the node that feeds it, where that is not written yet."""
+        outermost = source
+        for _ in range(MAX_DEPTH):  # inputs of node graphs around it
+            outer = outermost.getInterfaceInput() if outermost.hasInterfaceName() else None
+            if outer is None:
+                break
+            outermost = outer
+        kind, feeding = _VALUES.get(source.getType(), _TYPES.Token), outermost.getConnectedNode()
+        if feeding is None:
+            if outermost.getValueString():
+                self.value(shader, source.getName(), kind, outermost)
+            return None
+        output = outermost.getConnectedOutput()
+        channel = (output.getOutputString() if output is not None else outermost.getOutputString()) or "out"
+        if output is not None and not output.getNodeName():
+            channel = "out"
+        written = feeding.getNamePath() in self.shaders
+        fed = self.prim_of(feeding)
+        shader.CreateInput(source.getName(), kind).ConnectToSource(
+            fed.CreateOutput(Tf.MakeValidIdentifier(channel), _VALUES.get(feeding.getType(), kind))
+        )
+        return None if written else feeding
 
-    def value(self, shader: UsdShade.Shader, name: str, wanted: Sdf.ValueTypeName, given: Any) -> None:
-        """An input's value, as MaterialX's own reader takes it; what that does not take is left out and told."""
-        kind, text, space = given.getType(), given.getValueString(), given.getActiveColorSpace()
+    def prim_of(self, node: MaterialX.Node) -> UsdShade.Shader:
+        """The shader prim of a node."""
+        path = node.getNamePath()
+        if path not in self.shaders:
+            name = Tf.MakeValidIdentifier(path.replace("/", "_"))
+            while name in {str(shader.GetPrim().GetName()) for shader in self.shaders.values()}:
+                name += "_"
+            stage, at = self.material.GetPrim().GetStage(), self.material.GetPath().AppendChild(name)
+            self.shaders[path] = UsdShade.Shader.Define(stage, at)
+        return self.shaders[path]
+
+    def value(self, shader: UsdShade.Shader, name: str, kind: Sdf.ValueTypeName, source: MaterialX.Input) -> None:
+        """An input's value, as MaterialX's own reader takes it; one that this refuses is left out with a line."""
+        word, text, space = source.getType(), source.getValueString(), source.getActiveColorSpace()
         value: Any = text
-        if kind == "filename":
-            path = f"{given.getActiveFilePrefix()}{text}"
+        if word == "filename":
+            path = f"{source.getActiveFilePrefix()}{text}"
             real = Path(self.file.parent, path)
             if (real.exists() or "<" in path) and (fault := self.fence.fault(real)):
                 raise StageError(f"{shader.GetPath()}.inputs:{name}: {fault}")
             value = Sdf.AssetPath(path)
-        elif kind in _VALUES and kind != "string":
-            value = _read(kind, text)
-            where = f"{name} of {given.getParent().getNamePath()!r} in {self.file.name}"
+        elif word in _VALUES and word != "string":
+            value = _read(word, text)
+            where = f"{name} of {source.getParent().getNamePath()!r} in {self.file.name}"
             if value is None:
-                self.left_out.append(f"{where} is {text[:40]!r}, which is no {kind}")
+                self.left_out.append(f"{where} is {text[:40]!r}, which is no {word}")
                 return
-            if kind in ("integer", "float") and len(_parts(text)) > 1:
+            if word in ("integer", "float") and len(_parts(text)) > 1:
                 self.left_out.append(
                     f"{where} is {text[:40]!r}, of which {value:g} is taken, as MaterialX does; what follows is no "
                     f"decimal, which a point begins"
                 )
-            if kind.startswith("color"):
+            if word.startswith("color"):
                 value = (*_linear(np.array(value[:3]), space), *value[3:])
-        made = shader.CreateInput(name, wanted)
-        made.Set(value)
-        if kind == "filename" and space:
-            made.GetAttr().SetColorSpace(space)
+        authored = shader.CreateInput(name, kind)
+        authored.Set(value)
+        if word == "filename" and space:
+            authored.GetAttr().SetColorSpace(space)
 
 
-def _read(kind: str, text: str) -> Any | None:
+def _read(kind: str, text: str) -> bool | int | float | tuple[float, ...] | None:
     """A value as MaterialX writes it: numbers parted by commas or blanks, or both; None where it is none.
 
     >>> _read("color3", "0.96 .37,  25e-2"), _read("integer", "2.0"), _read("boolean", "True"), _read("vector2", "1")
@@ -354,10 +323,10 @@ def _read(kind: str, text: str) -> Any | None:
     if kind == "boolean":
         return {"true": True, "false": False}.get(text.strip().lower())
     parts = _parts(text)
-    found = [(_WHOLE if kind == "integer" else _NUMBER).match(part) for part in parts]
     if kind in ("integer", "float"):
-        parts, found = parts[:1], found[:1]
-    numbers = [float(one[0]) for one in found if one]
+        parts = parts[:1]
+    matches = [(_WHOLE if kind == "integer" else _NUMBER).match(part) for part in parts]
+    numbers = [float(match[0]) for match in matches if match]
     if len(numbers) != int(kind[-1] if kind[-1].isdigit() else 1) or not all(abs(x) <= MAX_NUMBER for x in numbers):
         return None
     if kind == "integer":
@@ -366,11 +335,11 @@ def _read(kind: str, text: str) -> Any | None:
 
 
 def _parts(text: str) -> list[str]:
-    """What is parted by commas or blanks, or both."""
+    """Words between commas or blanks, or both."""
     return [part for part in re.split(r"[,\s]+", text) if part]
 
 
-def _linear(color: Any, space: str) -> list[float]:
+def _linear(color: Array, space: str) -> list[float]:
     """A colour as linear Rec.709; spaces that are not known, as they stand."""
     if space.startswith("srgb_texture") or space == "srgb_rec709_scene":
         color = srgb_decode(color)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Concatenate, ParamSpec, TypeVar, cast
 
-from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdUtils, Vt
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdRender, UsdUtils, Vt
 
 from synfog_usd.base.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.base.fence import LAYERS, Fence
@@ -22,47 +22,40 @@ from synfog_usd.base.files import sha256_of
 from synfog_usd.base.notes import Note
 from synfog_usd.stage import budget, materialx
 from synfog_usd.stage.budget import MAX_DEPTH
-from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes
+from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
 from synfog_usd.stage.survey import read_layers
 from synfog_usd.stage.types import mistyped
 
 P = ParamSpec("P")
 R = TypeVar("R")
 _FOLDERS = "synfogFolders"
-"""Where the session layer keeps the fence."""
+"""Key of the session layer under which the fence's folders stand."""
 
 _FILES = "synfogFiles"
-"""Where it keeps the files over all variants, which USD takes long to list."""
+"""Key for the files over all variants, which USD takes long to list."""
 
 _LEFT_OUT = "synfogLeftOut"
-"""Where it keeps which attributes and metadata of a wrong type are left out: lines of prim and text."""
-
-MENDED_UNITS = "synfogMendedUnits"
-"""Where a layer that mends another's units keeps what that one says [m]."""
+"""Key for what is left out because it cannot be read: lines of prim and text."""
 
 REASON_LETTERS = 300
-"""Of what USD says of a broken file: it may name every spec of a layer."""
+"""Longest reason that is quoted from USD, which may name every spec of a layer [letters]."""
 
 
-def open_stage(
-    path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False, mask: Iterable[str] = ()
-) -> Usd.Stage:
+def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: bool = False) -> Usd.Stage:
     """Open a USD file with all payloads.
 
     What it would unfold to is counted first, and no file is read that lies neither
     below the stage's folder nor below an allowed one.  What is missing, and what does
-    not compose, is left out; `composition_notes` tells it.
+    not compose, is left out and listed by `composition_notes`.
 
     Args:
         path: a .usd, .usda, .usdc or .usdz file.
         allow: further folders in which its layers, textures and volumes may lie.
         whole: refuse a stage of which anything does not compose.
-        mask: prims of which alone the stage is to be made, with what they refer to, and with all cameras, lights, fogs
-            and render settings that do not lie in payloads; empty for all.
 
     Raises:
         StageError: missing, not USD, beyond a budget of `synfog_usd.stage.budget`,
-            with a file outside of the folders, not `whole`, or without a prim of the mask.
+            with a file outside of the folders, or not `whole`.
     """
     path = Path(path)
     if any(sign < " " or sign == "\x7f" for sign in os.fspath(path)):
@@ -75,11 +68,11 @@ def open_stage(
     if path.suffix.lower() not in LAYERS:
         raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(LAYERS)}")
     fence = Fence.around(path, allow)
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # what cannot be read is told as errors and notes, not by USD
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # errors and notes say what cannot be read
     try:
-        held, left_out = read_layers(path, fence)
-        stage = _masked(path, list(mask)) if mask else Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
-        del held, quiet
+        layers, left_out = read_layers(path, fence)
+        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+        del layers, quiet
     except (Tf.ErrorException, UnicodeDecodeError) as problem:
         raise StageError(
             f"{path}: cannot be read as USD ({_reason(problem)}); export it again, or test it with a USD viewer"
@@ -102,38 +95,6 @@ def open_stage(
     return stage
 
 
-def _masked(path: Path, mask: Sequence[str]) -> Usd.Stage:
-    """A stage of nothing but some prims, and what sees and lights them; payloads elsewhere are not read."""
-    for name in mask:
-        place = Sdf.Path(name) if Sdf.Path.IsValidPathString(name) else Sdf.Path.emptyPath
-        if not (place.IsAbsolutePath() and place.IsPrimPath()):
-            raise StageError(f"{path}: --mask {name}: not the path of a prim, as /World/Car")
-    whole = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
-    found = {str(prim.GetPath()) for prim in whole.TraverseAll() if _sees_or_lights(prim)}
-    for name, choices in variants(whole).items():
-        for choice in choices:
-            select(whole, **{name: choice})
-            found |= {str(prim.GetPath()) for prim in whole.TraverseAll() if _sees_or_lights(prim)}
-    stage = Usd.Stage.OpenMasked(
-        whole.GetRootLayer(), Usd.StagePopulationMask([*mask, *sorted(found)]), Usd.Stage.LoadAll
-    )
-    stage.ExpandPopulationMask()
-    for name in mask:
-        if not stage.GetPrimAtPath(name):
-            raise StageError(f"{path}: --mask {name}: there is no such prim")
-    return stage
-
-
-def _sees_or_lights(prim: Usd.Prim) -> bool:
-    """Whether a picture of any part of the stage needs a prim."""
-    return (
-        prim.IsA(UsdGeom.Camera)
-        or prim.HasAPI(UsdLux.LightAPI)
-        or prim.IsA(UsdRender.Settings)
-        or has_fog_attributes(prim)
-    )
-
-
 def fence_of(stage: Usd.Stage) -> Fence:
     """The fence that a stage was opened with; else its folder, or none at all for a stage without a file."""
     folders = stage.GetSessionLayer().customLayerData.get(_FOLDERS) if stage.GetSessionLayer() else None
@@ -144,16 +105,15 @@ def fence_of(stage: Usd.Stage) -> Fence:
 
 
 def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Concatenate[Usd.Stage, P], R]:
-    """Make errors for the user of what goes wrong while a stage is read, where its file is the cause.
+    """Turn what goes wrong while a stage is read into errors for the user, where the stage's file is the cause.
 
-    That is what the USD library raises (arrays of a .usdc are read when they are asked
-    for), and whatever fails while an attribute has another type than its schema's: such
-    attributes of shapes are blocked on the session layer, and it is tried again.  The
-    library's own warnings are kept from the terminal; what matters of them is told as notes.
+    These are what the USD library raises (arrays of a .usdc are read when their values are
+    asked for), and any failure while an attribute has another type than its schema's.
+    The library's own warnings do not reach the terminal.
     """
 
     @functools.wraps(work)
-    def told(stage: Usd.Stage, *more: P.args, **named: P.kwargs) -> R:
+    def guarded(stage: Usd.Stage, *more: P.args, **named: P.kwargs) -> R:
         quiet = UsdUtils.CoalescingDiagnosticDelegate()
         try:
             return work(stage, *more, **named)
@@ -164,52 +124,14 @@ def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Conca
                 f"{_name(stage)}: cannot be read as USD ({_reason(problem)}); the file is damaged: export it again"
             ) from problem
         except (TypeError, ValueError, AttributeError, IndexError) as problem:
-            wrong = list(mistyped(stage))
-            if not wrong:
+            wrong = next(iter(mistyped(stage)), None)
+            if wrong is None:
                 raise
-            if _blocked(stage, wrong):
-                return work(stage, *more, **named)
-            raise StageError(f"{wrong[0][1]}; author it with that type") from problem
+            raise StageError(f"{wrong}; author it with that type") from problem
         finally:
             del quiet
 
-    return cast("Callable[Concatenate[Usd.Stage, P], R]", told)
-
-
-def _blocked(stage: Usd.Stage, wrong: list[tuple[Usd.Attribute, str]]) -> bool:
-    """Leave attributes of shapes out; whether that is all of them.  Those of prototypes cannot be reached from the
-    session layer.
-    """
-    if not all(_is_left_out(attribute) for attribute, _ in wrong):
-        return False
-    session = stage.GetSessionLayer()
-    with Usd.EditContext(stage, Usd.EditTarget(session)):
-        for attribute, _ in wrong:
-            attribute.Block()
-    known = session.customLayerData.get(_LEFT_OUT, [])
-    lines = [
-        f"{attribute.GetPrim().GetPath()}\n{attribute.GetName()} {text.split(chr(32), 1)[1]}"
-        for attribute, text in wrong
-    ]
-    session.customLayerData = {**session.customLayerData, _LEFT_OUT: Vt.StringArray([*known, *lines])}
-    return True
-
-
-def _is_left_out(attribute: Usd.Attribute) -> bool:
-    """Whether a shape is drawn without it: arrays and primvars, which have no fallback that would have to stand for
-    them.
-    """
-    prim, name = attribute.GetPrim(), attribute.GetName()
-    if (
-        prim.IsInPrototype()
-        or not prim.IsA(UsdGeom.Gprim)
-        or name.startswith(("synfog:", "userProperties:", "xformOp"))
-    ):
-        return False
-    fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
-    return bool(attribute.GetTypeName()) and (
-        fallback is None or (not isinstance(fallback, (str, float, int)) and not len(fallback))
-    )
+    return cast("Callable[Concatenate[Usd.Stage, P], R]", guarded)
 
 
 @plain_errors
@@ -261,29 +183,26 @@ def _check_expressions(stage: Usd.Stage, fence: Fence) -> None:
     if not any(layer.expressionVariables for layer in stage.GetUsedLayers()):
         return
     for root in [stage.GetPseudoRoot(), *stage.GetPrototypes()]:
-        for attribute in (
-            one
-            for prim in Usd.PrimRange(root)
-            for one in prim.GetAuthoredAttributes()
-            if str(one.GetTypeName()) in ("asset", "asset[]")
-        ):
-            for time in [Usd.TimeCode.Default(), *attribute.GetTimeSamples()]:
-                value = attribute.Get(time)
-                for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
-                    tiles = "<UDIM>" in asset.evaluatedPath and (
-                        PurePosixPath(asset.evaluatedPath).is_absolute()
-                        or PureWindowsPath(asset.evaluatedPath).drive
-                        or ".." in asset.evaluatedPath
-                    )
-                    found = (
-                        str(_package(asset.resolvedPath))
-                        if asset.resolvedPath
-                        else asset.evaluatedPath
-                        if tiles
-                        else ""
-                    )
-                    if found and (fault := fence.fault(found)):
-                        raise StageError(f"{attribute.GetPath()}: {fault}")
+        for prim in Usd.PrimRange(root):
+            for attribute in prim.GetAuthoredAttributes():
+                if str(attribute.GetTypeName()) in ("asset", "asset[]"):
+                    for file in _evaluated_files(attribute):
+                        if fault := fence.fault(file):
+                            raise StageError(f"{attribute.GetPath()}: {fault}")
+
+
+def _evaluated_files(attribute: Usd.Attribute) -> Iterator[str]:
+    """Files that the values of an asset attribute mean at all times, their expressions evaluated."""
+    for time in [Usd.TimeCode.Default(), *attribute.GetTimeSamples()]:
+        value = attribute.Get(time)
+        for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
+            path = asset.evaluatedPath
+            if asset.resolvedPath:
+                yield str(_package(asset.resolvedPath))
+            elif "<UDIM>" in path and (
+                PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or ".." in path
+            ):
+                yield path
 
 
 def who_names(stage: Usd.Stage, file: str) -> str:
@@ -292,14 +211,12 @@ def who_names(stage: Usd.Stage, file: str) -> str:
 
 
 def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
-    """Path of the first attribute or prim whose value is a file, or ''."""
-    found: list[str] = []
+    """Path of the first attribute whose value is a file, or ''."""
     for layer in layers:
-
-        def visit(path: Sdf.Path, layer: Sdf.Layer = layer) -> None:
-            if found or not path.IsPropertyPath():
-                return
-            spec = layer.GetAttributeAtPath(path)
+        attributes: list[Sdf.Path] = []
+        layer.Traverse(Sdf.Path.absoluteRootPath, attributes.append)
+        for path in attributes:
+            spec = layer.GetAttributeAtPath(path) if path.IsPropertyPath() else None
             values = spec.default if spec is not None else None
             for value in values if isinstance(values, Sdf.AssetPathArray) else [values]:
                 if (
@@ -307,14 +224,12 @@ def _named_in(file: str, layers: Iterable[Sdf.Layer]) -> str:
                     and value.path
                     and Sdf.ComputeAssetPathRelativeToLayer(layer, value.path) == file
                 ):
-                    found.append(str(path))
-
-        layer.Traverse(Sdf.Path.absoluteRootPath, visit)
-    return found[0] if found else ""
+                    return str(path)
+    return ""
 
 
 MISSING = "is missing; drawn without it"
-"""How a note about a reference, payload or sublayer ends whose file is not there."""
+"""End of a note about a reference, payload or sublayer whose file is not there."""
 
 
 def composition_notes(stage: Usd.Stage) -> list[Note]:
@@ -348,33 +263,29 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
     """Layers in other units than the stage's, where neither the reference nor what is around it is scaled; USD itself
     converts nothing.
     """
-    own, other = UsdGeom.GetStageMetersPerUnit(stage), _other_units(stage)
-    notes = []
-    for layer in stage.GetLayerStack(includeSessionLayers=False):
-        if layer.identifier in other:
-            notes.append(
-                Note(
-                    "warning",
-                    "/",
-                    f"sublayer {Path(layer.realPath).name} is in units of {other[layer.identifier]:g} m and the "
-                    f"stage of {own:g} m; {_NO_SCALE}",
-                )
-            )
-    for prim, layer in unscaled_references(stage):
-        metres = other[layer.identifier]
-        what = (
-            f"refers to {Path(layer.realPath).name}, which is in units of {metres:g} m and "
-            f"the stage of {own:g} m; {_NO_SCALE}"
-        )
-        notes.append(Note("warning", str(prim.GetPath()), f"{what}: scale it by {metres / own:g}"))
-    return notes
-
-
-def unscaled_references(stage: Usd.Stage) -> Iterator[tuple[Usd.Prim, Sdf.Layer]]:
-    """Prims that refer to a layer in other units than the stage's, with that layer, where nothing is scaled."""
-    other = _other_units(stage)
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    other = {
+        layer.identifier: metres
+        for layer in stage.GetUsedLayers()
+        if layer.pseudoRoot.HasInfo("metersPerUnit")
+        and (metres := layer.pseudoRoot.GetInfo("metersPerUnit")) > 0.0
+        and not 0.999 < metres / unit < 1.001
+        and layer.identifier != stage.GetRootLayer().identifier
+    }
     if not other:
-        return
+        return []
+
+    def text(layer: Sdf.Layer) -> str:
+        return (
+            f"{Path(layer.realPath).name}, in units of {other[layer.identifier]:g} m where the stage has {unit:g} m; "
+            f"nothing scales it, so it is drawn at another size than it was made"
+        )
+
+    notes = [
+        Note("warning", "/", f"has the sublayer {text(layer)}")
+        for layer in stage.GetLayerStack(includeSessionLayers=False)
+        if layer.identifier in other
+    ]
     references = Usd.PrimCompositionQuery.Filter()
     references.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
     references.dependencyTypeFilter = Usd.PrimCompositionQuery.DependencyTypeFilter.Direct
@@ -386,28 +297,9 @@ def unscaled_references(stage: Usd.Stage) -> Iterator[tuple[Usd.Prim, Sdf.Layer]
             layer = arc.GetTargetLayer()
             scale = abs(transforms.GetLocalToWorldTransform(prim).GetDeterminant3()) ** (1.0 / 3.0)
             if layer.identifier in other and 0.99 < scale < 1.01:  # any other scale is an author's own answer
-                yield prim, layer
-
-
-def _other_units(stage: Usd.Stage) -> dict[str, float]:
-    """Layers that say they are in other units than the stage's, with what they say [m]; but for those that say what a
-    layer over them mended.
-    """
-    own, root = UsdGeom.GetStageMetersPerUnit(stage), stage.GetRootLayer()
-    wrong = root.customLayerData.get(MENDED_UNITS)
-    metres = {
-        layer.identifier: layer.pseudoRoot.GetInfo("metersPerUnit")
-        for layer in stage.GetUsedLayers()
-        if layer.identifier != root.identifier and layer.pseudoRoot.HasInfo("metersPerUnit")
-    }
-    return {
-        name: value
-        for name, value in metres.items()
-        if value > 0.0 and not 0.999 < value / own < 1.001 and value != wrong
-    }
-
-
-_NO_SCALE = "nothing is scaled, so it is drawn at another size than it was made"
+                factor = other[layer.identifier] / unit
+                notes.append(Note("warning", str(prim.GetPath()), f"refers to {text(layer)}: scale it by {factor:g}"))
+    return notes
 
 
 def authored_path(stage: Usd.Stage, path: str) -> str:
@@ -419,7 +311,7 @@ def authored_path(stage: Usd.Stage, path: str) -> str:
         prototype = stage.GetPrimAtPath(f"/{root}")
         if not prototype:
             break
-        path = f"{min(str(one.GetPath()) for one in prototype.GetInstances())}{slash}{rest}"
+        path = f"{min(str(prim.GetPath()) for prim in prototype.GetInstances())}{slash}{rest}"
     return path
 
 
@@ -452,11 +344,11 @@ def offered(path: Path) -> dict[str, list[str]]:
     """
     quiet = UsdUtils.CoalescingDiagnosticDelegate()
     try:
-        held = read_layers(path, Fence.around(path))
+        layers, _ = read_layers(path, Fence.around(path))
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadNone)
         for prim in stage.GetPseudoRoot().GetAllChildren():
             prim.Load(Usd.LoadWithoutDescendants)
-        del held, quiet
+        del layers, quiet
     except (Tf.ErrorException, UnicodeDecodeError) as problem:
         raise StageError(f"{path}: cannot be read as USD ({_reason(problem)})") from problem
     return variants(stage)
@@ -524,50 +416,57 @@ def override(
     Raises:
         StageError: no such prim, set or variant; with those that there are.
     """
+    choices = list(choices)
     with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
         if metres_per_unit is not None:
             stage.SetMetadata("metersPerUnit", float(metres_per_unit))
         if up is not None:
             stage.SetMetadata("upAxis", up)
         if shutter_s is not None:
-            half = 0.5 * shutter_s * stage.GetTimeCodesPerSecond()
-            for path in cameras(stage):
-                camera = UsdGeom.Camera(stage.GetPrimAtPath(path))
-                camera.CreateShutterOpenAttr(-half)
-                camera.CreateShutterCloseAttr(half)
-            if settings := UsdRender.Settings.GetStageRenderSettings(stage):
-                settings.CreateDisableMotionBlurAttr(False)
-                settings.CreateInstantaneousShutterAttr(False)
-            if not any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()):
-                stage.SetStartTimeCode(stage.GetStartTimeCode())  # without a time nothing has one to move in
-        for choice in (choices := list(choices)):
-            where, name, variant = _variant_named(choice)
-            prim = stage.GetPrimAtPath(where)
-            if not prim:
-                having = [str(one.GetPath()) for one in stage.Traverse() if one.HasVariantSets()]
-                listed = (
-                    f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}"
-                    if having
-                    else "no prim of the stage has variants"
-                )
-                raise StageError(
-                    f"--choose {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}"
-                )
-            sets = prim.GetVariantSets().GetNames()
-            if name not in sets:
-                raise StageError(
-                    f"--choose {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}"
-                )
-            names = prim.GetVariantSet(name).GetVariantNames()
-            if variant not in names:
-                raise StageError(
-                    f"--choose {choice}: variant set {name!r} of {where} has "
-                    f"{', '.join(names)}.{did_you_mean(variant, names)}"
-                )
-            prim.GetVariantSet(name).SetVariantSelection(variant)
+            _open_shutters(stage, 0.5 * shutter_s * stage.GetTimeCodesPerSecond())
+        for choice in choices:
+            _choose(stage, choice)
     if choices:
         check_size(stage)
         _check_expressions(stage, fence_of(stage))
+
+
+def _open_shutters(stage: Usd.Stage, half: float) -> None:
+    """Open every camera's shutter from -half to +half frames about the frame's time."""
+    for path in cameras(stage):
+        camera = UsdGeom.Camera(stage.GetPrimAtPath(path))
+        camera.CreateShutterOpenAttr(-half)
+        camera.CreateShutterCloseAttr(half)
+    if settings := UsdRender.Settings.GetStageRenderSettings(stage):
+        settings.CreateDisableMotionBlurAttr(False)
+        settings.CreateInstantaneousShutterAttr(False)
+    if not any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()):
+        stage.SetStartTimeCode(stage.GetStartTimeCode())  # without a time nothing has one to move in
+
+
+def _choose(stage: Usd.Stage, choice: str) -> None:
+    """Choose one variant of one prim, as /World/Car:paint=red."""
+    where, name, variant = _variant_named(choice)
+    prim = stage.GetPrimAtPath(where)
+    if not prim:
+        having = [str(other.GetPath()) for other in stage.Traverse() if other.HasVariantSets()]
+        listed = (
+            f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}"
+            if having
+            else "no prim of the stage has variants"
+        )
+        raise StageError(f"--choose {choice}: the stage has no prim {where}; {listed}.{did_you_mean(where, having)}")
+    sets = prim.GetVariantSets().GetNames()
+    if name not in sets:
+        raise StageError(
+            f"--choose {choice}: {where} has {', '.join(sets) or 'no variant set'}.{did_you_mean(name, sets)}"
+        )
+    names = prim.GetVariantSet(name).GetVariantNames()
+    if variant not in names:
+        raise StageError(
+            f"--choose {choice}: variant set {name!r} of {where} has {', '.join(names)}.{did_you_mean(variant, names)}"
+        )
+    prim.GetVariantSet(name).SetVariantSelection(variant)
 
 
 def variant_choices(stage: Usd.Stage) -> list[str]:
@@ -601,21 +500,20 @@ def named_cameras(stage: Usd.Stage, names: Sequence[str]) -> tuple[str, ...]:
     Raises:
         StageError: a name that no camera has, or several have.
     """
-    known = cameras(stage)
-    found: dict[str, None] = {}
+    listed = cameras(stage)
+    chosen: dict[str, None] = {}
     for name in names:
-        named = [path for path in known if path == name or path.rpartition("/")[2] == name]
+        named = [path for path in listed if path == name or path.rpartition("/")[2] == name]
         if len(named) > 1:
             raise StageError(f"--camera {name}: {' and '.join(named)} have this name; give the path")
-        below = [path for path in known if path.startswith(f"{name.rstrip('/')}/")] if name.startswith("/") else []
+        below = [path for path in listed if path.startswith(f"{name.rstrip('/')}/")] if name.startswith("/") else []
         if not named and not below:
-            listed = ", ".join(known) or "none"
             raise StageError(
                 f"--camera {name}: no such camera, and no prim with cameras below it; the stage has "
-                f"{listed}.{did_you_mean(name, known)}"
+                f"{', '.join(listed) or 'none'}.{did_you_mean(name, listed)}"
             )
-        found |= dict.fromkeys(named or below)
-    return tuple(found)
+        chosen |= dict.fromkeys(named or below)
+    return tuple(chosen)
 
 
 def dependencies(stage: Usd.Stage) -> list[Path]:
@@ -627,13 +525,13 @@ def dependencies(stage: Usd.Stage) -> list[Path]:
             files.add(_package(materialx.file_of(layer.realPath)))
     if root.realPath:
         session = stage.GetSessionLayer()
-        known = session.customLayerData.get(_FILES) if session else None
-        if known is None:
+        listed = session.customLayerData.get(_FILES) if session else None
+        if listed is None:
             layers, assets = _all_files(stage)
-            known = [*(layer.realPath for layer in layers if layer.realPath), *assets]
-        files.update(_package(file) for file in known)
+            listed = [*(layer.realPath for layer in layers if layer.realPath), *assets]
+        files.update(_package(file) for file in listed)
         files.update(
-            _package(file).with_suffix(".npz") for file in known if file.lower().endswith(".vdb")
+            _package(file).with_suffix(".npz") for file in listed if file.lower().endswith(".vdb")
         )  # what is read in its place
     return sorted(path for path in files if path.is_file())
 
@@ -654,13 +552,13 @@ def stage_hash(stage: Usd.Stage) -> str:
 
 @plain_errors
 def _all_files(stage: Usd.Stage) -> tuple[list[Sdf.Layer], list[str]]:
-    """Layers and other files over all variants; what is missing is told by `composition_notes` and the translation."""
+    """Layers and other files over all variants, as far as they exist."""
     quiet = UsdUtils.CoalescingDiagnosticDelegate()
     layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(stage.GetRootLayer().identifier))
     del quiet
     files = list(assets)
-    found = (path for path in missing if materialx.is_materialx(path) and Path(path).is_absolute())  # in memory
-    for name in dict.fromkeys(map(materialx.file_of, found)):
+    in_memory = (path for path in missing if materialx.is_materialx(path) and Path(path).is_absolute())
+    for name in dict.fromkeys(map(materialx.file_of, in_memory)):
         files += [name, *materialx.pictures(name)]
     return list(layers), files
 
@@ -672,14 +570,14 @@ def variant_prim(stage: Usd.Stage, name: str) -> Usd.Prim | None:
 
 def _variant_prims(stage: Usd.Stage) -> dict[str, Usd.Prim]:
     """Variant set -> the first root prim that has it, the default prim before others."""
-    found: dict[str, Usd.Prim] = {}
+    prims: dict[str, Usd.Prim] = {}
     for prim in (stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()):
         if prim and prim.HasVariantSets():
             sets = prim.GetVariantSets()
             for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
-                if name not in found and sets.HasVariantSet(name):
-                    found[name] = prim
-    return {name: found[name] for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET) if name in found}
+                if name not in prims and sets.HasVariantSet(name):
+                    prims[name] = prim
+    return {name: prims[name] for name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET) if name in prims}
 
 
 def _package(path: str) -> Path:

@@ -1,7 +1,7 @@
 """The rule book of `check`: every rule with its severity, its meaning and its way out in the common tools.
 
-Takes nothing; gives `RULES`, and findings of them.  What looks for them stands in `synfog_usd.stage.rules`
-and, where only the translation can see it, there.
+Takes nothing; gives `RULES`, and findings of them.  The rules are tested in `synfog_usd.stage.rules` and
+in the translation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Rule:
         name: as it is printed.
         severity: 'error' (a bake stops there), 'warning' (the picture will not be what
             was meant), 'info' (worth knowing).
-        meaning: what is looked for, in one sentence.
+        meaning: the fault, in one sentence.
         mend: tool -> what to do there.
     """
 
@@ -40,11 +40,9 @@ class Finding:
     Attributes:
         severity: as the rule's.
         path: prim path, or '' for the stage.
-        text: what was found and what to do.
+        text: the fault and what to do.
         rule: the rule's name; 'usd:...' for USD's own validators.
         mend: tool -> what to do there; empty where the text says it all.
-        fix: what `stage.mend` writes, where that takes no choice: ('label', class), ('purpose', 'guide') or
-            ('dark', '').
     """
 
     severity: Severity
@@ -52,7 +50,6 @@ class Finding:
     text: str
     rule: str = ""
     mend: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}), compare=False)
-    fix: tuple[str, str] | None = field(default=None, compare=False)
 
 
 def _rule(name: str, severity: Severity, meaning: str, *mend: str) -> Rule:
@@ -151,30 +148,6 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "lower Intensity and Exposure in the light's properties",
             ),
             _rule(
-                "light-dim",
-                "info",
-                "Less light than a full moon gives; numbers around 1 are usual in tools that do not count in nits.",
-                "raise the sun's Strength and the world's",
-                "raise Exposure: an overcast noon is 2 000 to 10 000 nits",
-                "raise Intensity: an overcast noon is 2 000 to 10 000 nits",
-            ),
-            _rule(
-                "dome-pole",
-                "warning",
-                "A sky map whose top does not point up: the horizon stands on edge.",
-                "export with the version's own axes (Z up); Blender turns its world for it",
-                "use DomeLight_1 with poleAxis 'scene', or rotate the light",
-                "rotate the dome light by 90 degrees about X in a Z-up stage",
-            ),
-            _rule(
-                "variant-shadowed",
-                "warning",
-                "A variant of fog or lighting that changes nothing, because a value on the prim itself wins.",
-                "write variants with the panel Synfog of the extension (synfog-usd plugin-path --blender)",
-                "author the value only within the variant (Begin/Add Variant LOPs)",
-                "clear the local value while no variant edit target is active",
-            ),
-            _rule(
                 "label-unknown",
                 "warning",
                 "A label that Cityscapes does not have; it counts as unlabeled.",
@@ -188,15 +161,6 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             ),
             _rule(
                 "unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND
-            ),
-            _rule(
-                "coincident-faces",
-                "info",
-                "Faces of different materials lie in one another, so that rounding decides which of them each ray "
-                "sees.",
-                "move one of them by a millimetre, or delete the faces that nobody should see",
-                "Transform LOP on one of them, or blast the hidden faces",
-                "move one of them by a millimetre",
             ),
             _rule(
                 "no-fog",
@@ -221,7 +185,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(
 """Every rule by name, gravest first."""
 
 
-def finding(name: str, path: str, text: str, fix: tuple[str, str] | None = None) -> Finding:
+def finding(name: str, path: str, text: str) -> Finding:
     """A finding of a rule of ours."""
     rule = RULES[name]
-    return Finding(rule.severity, path, text, name, rule.mend, fix)
+    return Finding(rule.severity, path, text, name, rule.mend)

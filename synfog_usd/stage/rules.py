@@ -1,8 +1,8 @@
-"""What is legal USD and still wrong for a photograph: our own rules, each with its way out in the common tools.
+"""Our own rules: stages that are legal USD and still wrong for a photograph.
 
-Takes a composed stage; gives findings.  Nothing is changed, no prototype is looked
-at twice.  What only the translation can see (fog boundaries that cross, a near plane
-that cuts one) is found there and told with the rules that stand here.
+Takes a composed stage; gives findings.  Nothing is changed, and each prototype is
+visited once.  Fog boundaries that cross, and a near plane that cuts one, are seen by the
+translation alone.
 """
 
 from __future__ import annotations
@@ -12,18 +12,17 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade
 
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.stage.labels import direct_label, official_name
-from synfog_usd.stage.open import cameras, up_axis
+from synfog_usd.stage.lightinputs import LightInputs
+from synfog_usd.stage.open import cameras
 from synfog_usd.stage.rulebook import Finding, finding
-from synfog_usd.stage.schema import API_NAME, FOG_VARIANT_SET, LIGHTING_VARIANT_SET, has_fog_attributes
+from synfog_usd.stage.schema import API_NAME, has_fog_attributes
 
 SIZES_M: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -39,7 +38,7 @@ SIZES_M: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Longest edge [m] of road users, children's and articulated ones included."""
 
 UNIT_FACTORS = (0.01, 100.0, 0.0254, 1 / 0.0254, 0.001, 1000.0, 1e-4, 1e4, 0.3048, 1 / 0.3048)
-"""Units that are taken for others: centimetres, inches, millimetres or feet, or one of them twice."""
+"""Ratios of units that are mistaken for each other: centimetres, inches, millimetres or feet, or one of them twice."""
 
 _NAMES = {
     "car": "car", "sedan": "car", "suv": "car", "hatchback": "car", "taxi": "car", "van": "car", "vehicle": "car",
@@ -53,47 +52,32 @@ _NAMES = {
 _ANY_NAME = re.compile("|".join(_NAMES), re.IGNORECASE)
 
 MAX_LUMEN = 1e8
-"""Of one lamp: a thousand times a stadium's floodlight; a street lamp has 5 000 to 15 000."""
+"""Luminous flux of one lamp [lm], a thousand times a stadium's floodlight."""
 
 MAX_SKY_NIT = 1e6
-"""Of a dome's intensity: a hundred times the brightest sky."""
+"""Intensity of a dome [cd m-2], a hundred times the brightest sky."""
 
 MAX_SUN_LUX = 1e6
-"""Of a distant light: eight times the sun's 130 000 outside the atmosphere."""
-
-MIN_LUX = 0.3
-"""Of everything: a full moon."""
-
-_DOMES = ("DomeLight", "DomeLight_1")
-
-POLE_DEG = 5.0
-_PLAIN = "color_"
-"""How Blender names the map of one colour that it writes for a plain world; such a map has no top."""
+"""Illuminance by a distant light [lx], eight times the sun's outside the atmosphere."""
 
 
 def findings(stage: Usd.Stage) -> list[Finding]:
-    """All that our own rules find on a stage, as its variants stand."""
+    """All findings of our own rules on a stage, as its variants stand."""
     context = _Context(stage)
-    return [one for look in (*_FIXABLE, *_TOLD_ONLY) for one in look(context)]
-
-
-def fixable(stage: Usd.Stage) -> tuple[list[Finding], list[RoadUser]]:
-    """Those of `findings` that `stage.mend` can fix, and the road users that can be measured, outermost prims only."""
-    context = _Context(stage)
-    return [one for look in _FIXABLE for one in look(context) if one.fix], context.users
+    return [finding for rule in _RULES for finding in rule(context)]
 
 
 class _Context:
-    """A stage with what several rules ask for."""
+    """A stage with values that several rules need."""
 
     def __init__(self, stage: Usd.Stage) -> None:
         self.stage = stage
         self.time = Usd.TimeCode.EarliestTime()
         self.metres = UsdGeom.GetStageMetersPerUnit(stage)
         self.prims = list(stage.Traverse())
-        seen = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
-        self.solid = UsdGeom.BBoxCache(self.time, seen, False, True)
-        self.whole = UsdGeom.BBoxCache(self.time, [*seen, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
+        shown = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render]
+        self.solid = UsdGeom.BBoxCache(self.time, shown, False, True)
+        self.whole = UsdGeom.BBoxCache(self.time, [*shown, UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy], False, True)
         self.kinds: set[str] = set()
         """Names of all types that prims have, those of prototypes too."""
         self.purposes = False
@@ -130,7 +114,7 @@ class _Context:
         return self._labels.get(prim) if self._labels else None
 
     def longest_m(self, prim: Usd.Prim) -> float:
-        """Longest edge [m] of what is drawn of a prim, in its own axes; 0 where that is nothing."""
+        """Longest edge [m] of the drawn part of a prim, in its own axes; 0 for none."""
         box = self.solid.ComputeWorldBound(prim)
         if box.GetRange().IsEmpty():
             return 0.0
@@ -168,88 +152,57 @@ def _camera_and_fog(context: _Context) -> Iterator[Finding]:
                 "fog-solid",
                 str(prim.GetPath()),
                 "other renderers draw this fog boundary as a solid; set its purpose to guide",
-                ("purpose", "guide"),
             )
 
 
 def _lights(context: _Context) -> Iterator[Finding]:
-    lux, unknown, lamps = 0.0, False, 0
+    lamps = 0
     for prim in _once(context):
-        if not prim.HasAPI(UsdLux.LightAPI):
-            continue
-        lamps += 1
-        path, kind = str(prim.GetPath()), str(prim.GetTypeName())
-        nits = _emitted(prim, context.time)
-        if not math.isfinite(nits):
-            yield finding(
-                "light-bright", path, f"its intensity is {nits}, which is no number; it stays dark", ("dark", "")
-            )
-        elif kind in ("DomeLight", "DomeLight_1"):
-            textured = bool(getattr(_input(prim, "texture:file", context.time, None), "path", ""))
-            unknown |= textured
-            lux += 0.0 if textured else math.pi * nits
-            if nits > MAX_SKY_NIT:
-                yield finding("light-bright", path, f"a sky of {nits:.3g} nits; an overcast noon has 2 000 to 10 000")
-        elif kind == "DistantLight":
-            half = math.radians(float(_input(prim, "angle", context.time, 0.53))) / 2.0
-            normalized = bool(_input(prim, "normalize", context.time, False)) or not 0.0 < half < math.inf
-            here = nits if normalized else nits * math.pi * math.sin(half) ** 2
-            lux += here
-            if here > MAX_SUN_LUX:
-                yield finding("light-bright", path, f"a sun of {here:.3g} lux; the real one gives 130 000 at most")
-        else:
-            unknown = True
-            lumen = (
-                math.pi
-                * nits
-                * (context.metres**2 if _input(prim, "normalize", context.time, False) else _area_m2(prim, context))
-            )
-            if lumen > MAX_LUMEN:
-                yield finding(
-                    "light-bright",
-                    path,
-                    f"a lamp of {lumen:.3g} lm; a street lamp has 5 000 to 15 000, a headlight 1 500",
-                )
+        if prim.HasAPI(UsdLux.LightAPI):
+            lamps += 1
+            if text := _fault_of_light(prim, context):
+                yield finding("light-bright", str(prim.GetPath()), text)
     if not lamps and not _anything_glows(context):
         yield finding("no-light", "", "the stage has no light and no emissive material; the picture would be black")
-    elif lamps and not unknown and lux < MIN_LUX and not _anything_glows(context):
-        yield finding(
-            "light-dim",
-            "",
-            f"all lights together give {lux:.2g} lux; a full moon gives {MIN_LUX}, an overcast noon 10 000 to 30 000",
-        )
 
 
-def _emitted(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+def _fault_of_light(prim: Usd.Prim, context: _Context) -> str:
+    """Why a light is brighter than any lamp, sky or sun; '' for a sensible one."""
+    inputs, kind = LightInputs(prim, context.time), str(prim.GetTypeName())
+    nits = _emitted(inputs, 50000.0 if kind == "DistantLight" else 1.0)
+    if not math.isfinite(nits):
+        return f"its intensity is {nits}, which is no number; it stays dark"
+    if kind in ("DomeLight", "DomeLight_1"):
+        return f"a sky of {nits:.3g} nits; an overcast noon has 2 000 to 10 000" if nits > MAX_SKY_NIT else ""
+    normalized = inputs.flag("normalize")
+    if kind == "DistantLight":
+        half = math.radians(inputs.number("angle", 0.53)) / 2.0
+        lux = nits if normalized or not 0.0 < half < math.inf else nits * math.pi * math.sin(half) ** 2
+        return f"a sun of {lux:.3g} lux; the real one gives 130 000 at most" if lux > MAX_SUN_LUX else ""
+    lumen = math.pi * nits * (context.metres**2 if normalized else _area_m2(prim, inputs, context))
+    text = f"a lamp of {lumen:.3g} lm; a street lamp has 5 000 to 15 000, a headlight 1 500"
+    return text if lumen > MAX_LUMEN else ""
+
+
+def _emitted(inputs: LightInputs, intensity: float) -> float:
     """Luminance of colour x intensity x 2^exposure, before any normalization."""
-    color = np.array([float(c) for c in _input(prim, "color", time, (1.0, 1.0, 1.0))])
-    intensity = float(_input(prim, "intensity", time, 50000.0 if prim.GetTypeName() == "DistantLight" else 1.0))
-    exposure = float(_input(prim, "exposure", time, 0.0))
+    color = np.array(inputs.numbers("color", (1.0, 1.0, 1.0)))
     with np.errstate(over="ignore", invalid="ignore"):
-        return float(LUMINANCE @ color * intensity * np.exp2(exposure))
+        stops = np.exp2(inputs.number("exposure", 0.0))
+        return float(LUMINANCE @ color * inputs.number("intensity", intensity) * stops)
 
 
-def _input(prim: Usd.Prim, name: str, time: Usd.TimeCode, default: Any) -> Any:
-    attribute = prim.GetAttribute(f"inputs:{name}")
-    value = attribute.Get(time) if attribute else None
-    return default if value is None else value
-
-
-def _area_m2(prim: Usd.Prim, context: _Context) -> float:
+def _area_m2(prim: Usd.Prim, inputs: LightInputs, context: _Context) -> float:
     """Surface of a lamp, its scale taken as even."""
-    kind = str(prim.GetTypeName())
-    number = {
-        name: float(_input(prim, name, context.time, 1.0 if name != "radius" else 0.5))
-        for name in ("radius", "width", "height", "length")
-    }
-    own = {
-        "SphereLight": 4.0 * math.pi * number["radius"] ** 2,
-        "DiskLight": math.pi * number["radius"] ** 2,
-        "RectLight": number["width"] * number["height"],
-        "CylinderLight": 2.0 * math.pi * number["radius"] * number["length"],
-    }.get(kind, 0.0)
+    radius, length = inputs.number("radius", 0.5), inputs.number("length", 1.0)
+    area = {
+        "SphereLight": 4.0 * math.pi * radius**2,
+        "DiskLight": math.pi * radius**2,
+        "RectLight": inputs.number("width", 1.0) * inputs.number("height", 1.0),
+        "CylinderLight": 2.0 * math.pi * radius * length,
+    }.get(str(prim.GetTypeName()), 0.0)
     matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time)
-    return own * abs(matrix.GetDeterminant3()) ** (2.0 / 3.0) * context.metres**2
+    return float(area * abs(matrix.GetDeterminant3()) ** (2.0 / 3.0) * context.metres**2)
 
 
 def _anything_glows(context: _Context) -> bool:
@@ -261,31 +214,6 @@ def _anything_glows(context: _Context) -> bool:
             ):
                 return True
     return False
-
-
-def _dome_pole(context: _Context) -> Iterator[Finding]:
-    if context.kinds.isdisjoint(_DOMES):
-        return
-    up = up_axis(context.stage)
-    axes = {"X": Gf.Vec3d(1, 0, 0), "Y": Gf.Vec3d(0, 1, 0), "Z": Gf.Vec3d(0, 0, 1)}
-    for prim in context.prims:
-        kind = str(prim.GetTypeName())
-        file = getattr(_input(prim, "texture:file", context.time, None), "path", "") if kind in _DOMES else ""
-        if not file or PurePosixPath(file).name.startswith(_PLAIN):
-            continue
-        axis = "Y"
-        if kind == "DomeLight_1":
-            asked = prim.GetAttribute("poleAxis").Get() if prim.GetAttribute("poleAxis") else "scene"
-            axis = {"scene": up, None: up}.get(asked, str(asked))
-        world = (
-            UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(context.time).TransformDir(axes.get(axis, axes["Y"]))
-        )
-        if world.GetLength() == 0.0:
-            continue
-        angle = math.degrees(math.acos(max(-1.0, min(1.0, Gf.Dot(world.GetNormalized(), axes[up])))))
-        if angle > POLE_DEG:
-            text = f"the top of its map points {angle:.0f} degrees away from the stage's up axis {up}; rotate the light"
-            yield finding("dome-pole", str(prim.GetPath()), text)
 
 
 @dataclass(frozen=True)
@@ -305,7 +233,7 @@ class RoadUser:
     longest: float
 
     def fits(self, factor: float = 1.0) -> bool:
-        """Whether such a thing is as long as this times a factor."""
+        """Whether road users of this kind are as long as this times a factor."""
         low, high = SIZES_M[self.kind]
         return low <= self.longest * factor <= high
 
@@ -316,8 +244,7 @@ def _measured(context: _Context) -> Iterator[RoadUser]:
         if skipped is not None and prim.GetPath().HasPrefix(skipped):
             continue
         label = context.label(prim)
-        known = official_name(label) if label is not None else None
-        kind = known if label is not None else _class_by_name(prim)
+        kind = official_name(label) if label is not None else _class_by_name(prim)
         if (label is None and kind is None) or _is_many(prim):
             continue
         skipped = prim.GetPath()
@@ -326,7 +253,7 @@ def _measured(context: _Context) -> Iterator[RoadUser]:
 
 
 def _road_users(context: _Context) -> Iterator[Finding]:
-    """Sizes of labelled things, and names that speak of things without a label."""
+    """Sizes of labelled road users, and names that speak of road users without a label."""
     for user in context.users:
         path, kind = str(user.prim.GetPath()), user.kind
         low, high = SIZES_M[kind]
@@ -337,7 +264,6 @@ def _road_users(context: _Context) -> Iterator[Finding]:
                     "road-user-unlabelled",
                     path,
                     f"a {kind} by its name and size, and without a label (semantics:labels:cityscapes)",
-                    ("label", kind),
                 )
         elif user.label is not None or factor:
             what = f"this {kind}" if user.label is not None else f"this prim, a {kind} by its name,"
@@ -378,12 +304,11 @@ def _labels(context: _Context) -> Iterator[Finding]:
     for prim, label in _unlabelled(context):
         if label is not None:
             if official_name(label) is None:
-                meant = _NAMES.get(label.lower())
+                hint = f"; did you mean {_NAMES[label.lower()]!r}?" if label.lower() in _NAMES else ""
                 yield finding(
                     "label-unknown",
                     str(prim.GetPath()),
-                    f"label {label!r} is not a Cityscapes name; it counts as unlabeled",
-                    ("label", meant) if meant else None,
+                    f"label {label!r} is not a Cityscapes name; it counts as unlabeled{hint}",
                 )
         elif (
             prim.IsA(UsdGeom.Gprim)
@@ -405,8 +330,8 @@ def _is_guide(prim: Usd.Prim) -> bool:
 
 
 def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
-    """(prim, label) of prims outside of what is labelled; a prototype once, where an instance without label has it."""
-    waiting, met = [context.stage.GetPseudoRoot()], set()
+    """(prim, label) of prims that are not below a label; a prototype once, where an instance without label has it."""
+    waiting, visited = [context.stage.GetPseudoRoot()], set[str]()
     while waiting:
         iterator = iter(Usd.PrimRange(waiting.pop()))
         for prim in iterator:
@@ -414,8 +339,8 @@ def _unlabelled(context: _Context) -> Iterator[tuple[Usd.Prim, str | None]]:
             yield prim, label
             if label is not None:
                 iterator.PruneChildren()
-            elif prim.IsInstance() and (name := str(prim.GetPrototype().GetPath())) not in met:
-                met.add(name)
+            elif prim.IsInstance() and (name := str(prim.GetPrototype().GetPath())) not in visited:
+                visited.add(name)
                 waiting.append(prim.GetPrototype())
 
 
@@ -426,49 +351,4 @@ def _once(context: _Context) -> Iterator[Usd.Prim]:
         yield from Usd.PrimRange(prototype)
 
 
-def _shadowed_variants(context: _Context) -> Iterator[Finding]:
-    """Values of variants that a value on the prim itself, in the same layer, always beats."""
-    switched = [prim.GetPath() for prim in context.stage.GetPseudoRoot().GetAllChildren() if prim.HasVariantSets()]
-    for layer in context.stage.GetLayerStack(includeSessionLayers=False):
-        for root in filter(None, map(layer.GetPrimAtPath, switched)):
-            for set_name in (FOG_VARIANT_SET, LIGHTING_VARIANT_SET):
-                variant_set = root.variantSets.get(set_name)
-                if variant_set is None:
-                    continue
-                shadowed = {
-                    value.StripAllVariantSelections()
-                    for variant in variant_set.variants
-                    for value in _authored(layer, variant.primSpec.path)
-                }
-                for local in sorted(shadowed & set(_authored(layer, root.path))):
-                    text = (
-                        f"variants of {set_name!r} set it, and the value on the prim itself wins over them; remove "
-                        f"that one"
-                    )
-                    yield finding("variant-shadowed", str(local), text)
-
-
-def _authored(layer: Sdf.Layer, root: Sdf.Path) -> list[Sdf.Path]:
-    """Attributes with a value, and prims that are switched on or off, of a subtree; of no other variants within it."""
-    found: list[Sdf.Path] = []
-
-    def visit(path: Sdf.Path) -> None:
-        if path.StripAllVariantSelections() != path and not root.ContainsPrimVariantSelection():
-            return
-        if path.IsPrimPropertyPath():
-            attribute = layer.GetAttributeAtPath(path)
-            if attribute is not None and attribute.HasDefaultValue():
-                found.append(path)
-        elif path.IsPrimPath() and layer.GetPrimAtPath(path).HasInfo("active"):
-            found.append(path)
-
-    layer.Traverse(root, visit)
-    return found
-
-
-_Looks = tuple[Callable[["_Context"], Iterator[Finding]], ...]
-
-_FIXABLE: _Looks = (_camera_and_fog, _lights, _road_users, _labels)
-"""Rules of which some findings have a fix."""
-
-_TOLD_ONLY: _Looks = (_dome_pole, _shadowed_variants)
+_RULES: tuple[Callable[[_Context], Iterator[Finding]], ...] = (_camera_and_fog, _lights, _road_users, _labels)

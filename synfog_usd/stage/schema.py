@@ -42,14 +42,14 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "priority": 0,
     }
 )
-"""Fallback values, the same as in the schema; None where there is none."""
+"""Fallback values, the same as in the schema; None for none."""
 
 _USER_PREFIXES = ("userProperties:synfog:fog:", "userProperties:synfog_fog_", "userProperties:synfog_")
 
 
 @dataclass(frozen=True)
 class FogAttributes:
-    """What an author said of one fog, not yet judged against physics.
+    """Fog attributes of one prim, not yet checked against physics.
 
     Attributes:
         path: prim that the attributes stand on.
@@ -99,11 +99,11 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
     """
     if not has_fog_attributes(prim):
         return None
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for prop in prim.GetAuthoredPropertiesInNamespace("userProperties"):
         name = _name_of(prop.GetName())
         if name is not None:
-            found[name] = prop.GetName()
+            names[name] = prop.GetName()
     for full_name in prim.GetAuthoredPropertyNames():
         if not full_name.startswith(PREFIX):
             continue
@@ -113,10 +113,10 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
                 f"{prim.GetPath()}: there is no attribute {full_name}; known are "
                 f"{', '.join(DEFAULTS)}.{did_you_mean(name, DEFAULTS)}"
             )
-        found[name] = full_name
+        names[name] = full_name
     values = dict(DEFAULTS)
     authored: dict[str, str] = {}
-    for name, full_name in found.items():
+    for name, full_name in names.items():
         attribute = prim.GetAttribute(full_name)
         value = attribute.Get(time) if attribute else None
         if value is None:
@@ -138,7 +138,7 @@ def _name_of(property_name: str) -> str | None:
     return None
 
 
-def _checked(prim: Usd.Prim, full_name: str, name: str, value: Any) -> Any:
+def _checked(prim: Usd.Prim, full_name: str, name: str, value: object) -> bool | int | float | str | Sdf.AssetPath:
     shown = " ".join(repr(value).split())
     shown = shown if len(shown) < 80 else f"{shown[:79]}…"
     if name in ("phase", "profile"):

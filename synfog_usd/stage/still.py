@@ -12,12 +12,12 @@ from synfog_usd.stage.open import plain_errors
 @plain_errors
 def stands_still(stage: Usd.Stage, codes: Sequence[float]) -> bool:
     """Whether no attribute of any prim has another value at one of the time codes than at the first."""
-    first, *others = (Usd.TimeCode(code) for code in codes)
+    first, *later = (Usd.TimeCode(code) for code in codes)
     for root in [stage.GetPseudoRoot(), *stage.GetPrototypes()]:
         for prim in Usd.PrimRange(root):
             for attribute in prim.GetAuthoredAttributes():
                 if attribute.ValueMightBeTimeVarying():
-                    begun = attribute.Get(first)
-                    if any(attribute.Get(code) != begun for code in others):
+                    value = attribute.Get(first)
+                    if any(attribute.Get(code) != value for code in later):
                         return False
     return True

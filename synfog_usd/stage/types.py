@@ -7,7 +7,6 @@ that good stages do not pay for it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from pxr import Sdf, Sdr, Tf, Usd, UsdShade
 
@@ -24,38 +23,31 @@ _PRIMVARS = {
 }
 
 
-def mistyped(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, str]]:
-    """Attributes that cannot stand for what their schemas want, each with '/Lamp.inputs:width is a token[], and a float
-    is wanted'.
+def mistyped(stage: Usd.Stage) -> Iterator[str]:
+    """Attributes that cannot stand for what their schemas want, as '/Lamp.inputs:width is a token[], and a float is
+    wanted'.
     """
     registry = Usd.SchemaRegistry()
-    also = [definition for name in _ALSO if (definition := registry.FindAppliedAPIPrimDefinition(name)) is not None]
+    applied = [schema for name in _ALSO if (schema := registry.FindAppliedAPIPrimDefinition(name)) is not None]
     for prim in _prims(stage):
         inputs = _shader_inputs(prim)
         for attribute in prim.GetAuthoredAttributes():
-            name = attribute.GetName()
-            found = _authored_type(attribute)
-            wanted = _PRIMVARS.get(name) or inputs.get(name)
-            for definition in [] if wanted else [prim.GetPrimDefinition(), *also]:
+            name, path = attribute.GetName(), attribute.GetPath()
+            kind = _authored_type(attribute)
+            expected = _PRIMVARS.get(name) or inputs.get(name)
+            for definition in [] if expected else [prim.GetPrimDefinition(), *applied]:
                 spec = definition.GetSchemaAttributeSpec(name) or definition.GetSchemaAttributeSpec(
                     name.replace("userProperties:synfog_", "synfog:fog:")
                 )
                 if spec:
-                    wanted = spec.typeName
+                    expected = spec.typeName
                     break
-            if _shape(found)[1] == "unknown":
-                yield (
-                    attribute,
-                    f"{attribute.GetPath()} is of a type that USD does not know, and one that it knows is wanted",
-                )
-                continue
-            if isinstance(
-                attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path
-            ):  # which the parser takes for a value of any type
-                yield attribute, f"{attribute.GetPath()} holds a path, and a {wanted or found} is wanted"
-                continue
-            if wanted and _shape(found) != _shape(wanted):
-                yield attribute, f"{attribute.GetPath()} is a {found}, and a {wanted} is wanted"
+            if _shape(kind)[1] == "unknown":
+                yield f"{path} is of a type that USD does not know, and one that it knows is wanted"
+            elif isinstance(attribute.Get(Usd.TimeCode.EarliestTime()), Sdf.Path):  # parsed as a value of any type
+                yield f"{path} holds a path, and a {expected or kind} is wanted"
+            elif expected and _shape(kind) != _shape(expected):
+                yield f"{path} is a {kind}, and a {expected} is wanted"
 
 
 def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
@@ -64,7 +56,7 @@ def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
         yield from Usd.PrimRange(prototype)
 
 
-def _authored_type(attribute: Usd.Attribute) -> Any:
+def _authored_type(attribute: Usd.Attribute) -> Sdf.ValueTypeName:
     """The type where the value stands; the attribute itself always claims its schema's."""
     specs = [
         spec
@@ -74,7 +66,7 @@ def _authored_type(attribute: Usd.Attribute) -> Any:
     return specs[0].typeName if specs else attribute.GetTypeName()
 
 
-def _shader_inputs(prim: Usd.Prim) -> dict[str, Any]:
+def _shader_inputs(prim: Usd.Prim) -> dict[str, Sdf.ValueTypeName]:
     """Types of the inputs of a shader that USD knows."""
     name = UsdShade.Shader(prim).GetIdAttr().Get() if prim.GetTypeName() == "Shader" else None
     node = Sdr.Registry().GetShaderNodeByIdentifier(name) if isinstance(name, str) else None
@@ -86,11 +78,11 @@ def _shader_inputs(prim: Usd.Prim) -> dict[str, Any]:
     }
 
 
-def _shape(kind: Any) -> tuple[bool, str]:
+def _shape(kind: Sdf.ValueTypeName) -> tuple[bool, str]:
     """Array or not, and what one value is: numbers of any precision are alike, and vectors of any meaning."""
     if not kind or kind.type == Tf.Type.Unknown:  # asked for its default, such a type takes the process down
         return False, "unknown"
-    one = type(kind.scalarType.defaultValue).__name__
-    if one in ("bool", "int", "float"):
+    name = type(kind.scalarType.defaultValue).__name__
+    if name in ("bool", "int", "float"):
         return kind.isArray, "number"
-    return kind.isArray, one.rstrip("dfhi") if one.startswith(("Vec", "Quat", "Matrix")) else one
+    return kind.isArray, name.rstrip("dfhi") if name.startswith(("Vec", "Quat", "Matrix")) else name

@@ -1,7 +1,7 @@
-"""What is wrong with a stage, before a picture is made of it.
+"""Findings on a stage before a picture is made of it.
 
-Takes a stage; gives findings.  What does not compose comes first, then USD's own
-validators, then the rules of `synfog_usd.stage.rules`.
+Takes a stage; gives findings: on layers that do not compose, of USD's own
+validators, and of the rules of `synfog_usd.stage.rules`.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ _OF_PACKAGES = "usdUtilsValidators:UsdzPackageValidator"
 
 _MISSING = "put the file in its place, or clear the attribute"
 
-_TOLD_ALREADY = frozenset({"CompositionError"})
-"""What `composition_notes` tells too."""
+_REPEATED = frozenset({"CompositionError"})
+"""Errors that `composition_notes` has too."""
 
 _HARMLESS = frozenset(
     {"MissingDefaultPrim", "MissingMaterialBindingAPI", "InvalidFamilyType", "MismatchedPropertyType"}
 )
-"""What USD's validators object to and a bake reads as it was meant: no default prim, a binding without its schema, a
-family of subsets of another kind, and inputs that older exporters wrote as tokens.  A value that is of no use under its
-type is told by the translation.
+"""Errors of USD's validators on stages that a bake reads all the same: no default prim, a binding without its schema, a
+family of subsets of another kind, and inputs that older exporters wrote as tokens.
 """
 
 
@@ -47,11 +46,9 @@ def check(stage: Usd.Stage) -> list[Finding]:
 
 
 def _is_known_shader(message: str) -> bool:
-    """Whether the shader that USD has not in its registry is one of MaterialX or Mitsuba; what is not drawn of these,
-    the translation tells.
-    """
+    """Whether the shader that USD has not in its registry is one of MaterialX."""
     named = re.search(r"shaderId '([^']*)'", message)
-    return named is not None and (named[1].startswith("mitsuba_") or materialx.is_node(named[1]))
+    return named is not None and materialx.is_node(named[1])
 
 
 def _composition(stage: Usd.Stage) -> list[Finding]:
@@ -62,7 +59,7 @@ def _composition(stage: Usd.Stage) -> list[Finding]:
 def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     if not stage.GetRootLayer().GetFileFormat().IsPackage():  # it lists all files of the stage before it looks
-        validators = [one for one in validators if one.GetMetadata().name != _OF_PACKAGES]
+        validators = [each for each in validators if each.GetMetadata().name != _OF_PACKAGES]
     context = UsdValidation.ValidationContext(validators)
     quiet = UsdUtils.CoalescingDiagnosticDelegate()  # validators print what they also return
     errors = context.Validate(stage)
@@ -71,9 +68,7 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
     broken = " ".join(note.text for note in composition_notes(stage))
     for error in errors:
         if error.GetName() == "UnresolvableDependency" and (missing := re.search(r"'(.*)'", error.GetMessage())):
-            if (
-                Path(missing[1]).name not in broken and not Path(materialx.file_of(missing[1])).is_file()
-            ):  # else it is told there
+            if Path(missing[1]).name not in broken and not Path(materialx.file_of(missing[1])).is_file():
                 findings.append(
                     Finding(
                         "warning",
@@ -83,7 +78,7 @@ def _usd_findings(stage: Usd.Stage) -> list[Finding]:
                     )
                 )
             continue
-        if error.GetName() in _TOLD_ALREADY or (
+        if error.GetName() in _REPEATED or (
             error.GetName() == "MissingShaderIdInRegistry" and _is_known_shader(error.GetMessage())
         ):
             continue

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Sdf, Usd
 
-from synfog_usd.base.arrays import Array, extent
+from synfog_usd.base.arrays import Array, FloatArray, extent
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict, boxes
@@ -33,21 +33,32 @@ from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.instanced import FEWEST_KINDS, MOST_KINDS, MOST_TRIANGLES, Around, InstancePrimvars
 from synfog_usd.translate.lanes import lanes
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
-from synfog_usd.translate.material import Materials, Refusal, is_empty
+from synfog_usd.translate.material import Materials, is_empty
 from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
-from synfog_usd.translate.primvars import Given
+from synfog_usd.translate.primvars import PrimvarValue
 from synfog_usd.translate.shapes import MOST_BALLS, Meshes, Part, Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
 from synfog_usd.translate.space import Space, stage_space
 from synfog_usd.translate.texture import ImageReader
-from synfog_usd.translate.twins import Twins
 from synfog_usd.translate.walk import GroupInstance, Leaf, Owner, Walk, walk
 
 _DOMES = ("DomeLight", "DomeLight_1")
 
 _AHEAD = 4096
-"""Meshes that are read together; small ones of one topology are then looked at together too."""
+"""Meshes that are read together; small ones of one topology are then tested together too."""
+
+
+@dataclass(frozen=True)
+class View:
+    """How a stage is looked at, for all fields see `translate`."""
+
+    camera: str | None = None
+    frame: float | None = None
+    resolution: tuple[int, int] | None = None
+    fog: Fog | None = None
+    lights: str = "auto"
+    light_scale: float = 1.0
 
 
 def translate(
@@ -59,7 +70,6 @@ def translate(
     fog: Fog | None = None,
     lights: str = "auto",
     light_scale: float = 1.0,
-    refusal: Refusal | None = None,
 ) -> SceneDict:
     """One frame of a stage in Mitsuba's vocabulary, in metres, Z up, near the origin.
 
@@ -75,38 +85,29 @@ def translate(
         lights: how intensities are meant: 'usd' (UsdLux 25.05), 'blender',
             'rtx-legacy', 'metric' (normalize divides by m2), or 'auto', by the
             program that wrote the layer in which they stand.
-        light_scale: what all lights are multiplied by, > 0.
-        refusal: why the renderer does not draw a BSDF, '' where it does, as `render.load.refusal` says it; a native
-            material that is refused becomes a note. None believes all, and the renderer refuses the scene.
+        light_scale: factor on all lights, > 0.
 
     Raises:
         ParameterError: `lights` is none of these.
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
-    choices = {
-        "camera": camera,
-        "frame": frame,
-        "resolution": resolution,
-        "lights": lights,
-        "light_scale": light_scale,
-        "refusal": refusal,
-    }
-    return with_boundaries(stage, fog=fog, **choices)[0]
+    view = View(camera, frame, resolution, fog, lights, light_scale)
+    return with_boundaries(stage, view, Reused())[0]
 
 
 class Outlook(NamedTuple):
-    """Where a stage was looked at from, as `looked_from` gives it, and what was found on it."""
+    """Where a stage is looked at from, as `looked_from` gives it, and everything on it."""
 
     stage: Usd.Stage
     time: Usd.TimeCode
     space: Space
     eye: Camera
-    found: Walk
+    content: Walk
 
 
 @dataclass
-class TakenOver:
+class Reused:
     """Meshes and pictures of a stage, for its next translation with other variants."""
 
     meshes: Meshes = field(default_factory=dict)
@@ -114,46 +115,38 @@ class TakenOver:
 
 
 @plain_errors
-def with_boundaries(
-    stage: Usd.Stage,
-    *,
-    camera: str | None,
-    frame: float | None,
-    resolution: tuple[int, int] | None,
-    fog: Fog | None,
-    lights: str,
-    light_scale: float,
-    refusal: Refusal | None = None,
-    made: TakenOver | None = None,
-) -> tuple[SceneDict, tuple[str, ...], Outlook]:
-    """What `translate` gives, the paths of all fog boundaries of the stage, whatever visibility is asked for, and what
-    was looked at; of `made` what stands on the stage as before is taken, and what is new is added.
+def with_boundaries(stage: Usd.Stage, view: View, reused: Reused) -> tuple[SceneDict, tuple[str, ...], Outlook]:
+    """The scene of a stage, the paths of all its fog boundaries, whatever the fog of the view, and its outlook.
+
+    Args:
+        stage: with its variants chosen.
+        view: how it is looked at.
+        reused: of earlier translations; what is new is added.
     """
     check_depth(stage)
-    notes, given = Diagnostics(), stage
+    notes, authored = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
-    stage, time, space, eye = looked_from(stage, camera, frame, resolution, notes)
+    stage, time, space, eye = looked_from(stage, view, notes)
     mover = Mover(stage, space, time, half_exposure(stage, time, eye.path), notes)
-    made = made if made is not None and stage is given else TakenOver()  # a pose is on layers of its own
-    images = ImageReader(notes, made.images)
-    materials = Materials(time, notes, images, refusal)
-    scene = _Assembler(stage, space, time, notes, Chooser(stage, lights), mover, materials, made.meshes)
+    reused = reused if stage is authored else Reused()  # a pose is on layers of its own
+    images = ImageReader(notes, reused.images)
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, view.lights), mover, images, reused.meshes)
     with _uncollected():
-        found = walk(stage, time, notes)
-        scene.build(found)
+        content = walk(stage, time, notes)
+        scene.build(content)
     images.let_go()
-    made.images = images
+    reused.images = images
     scene.tell_motion()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
     bounds = scene.bounds(eye.to_world[:3, 3])
-    around = fog_around(scene.fog, fog, eye, bounds, notes)
+    around = fog_around(scene.fog, view.fog, eye, bounds, notes)
     if len(names := sorted(set(scene.group_of.values()))) > MOST:
         raise StageError(
             f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps "
             f"the same {ATTRIBUTE}"
         )
-    world = _lit(scene, eye, light_scale, notes)
+    world = _lit(scene, eye, view.light_scale, notes)
     complete = SceneDict(
         world=world,
         camera=eye,
@@ -161,17 +154,17 @@ def with_boundaries(
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
         group_of=scene.group_of,
-        flux_of={name: light_scale * lumen for name, lumen in scene.flux_of.items()},
+        flux_of={name: view.light_scale * lumen for name, lumen in scene.flux_of.items()},
         reflectance_of={key: curve for key, curve in scene.materials.reflectance_of.items() if key in world},
         emission_of=scene.emission_of,
         motion_of=scene.motion_of,
         bounds_m=bounds,
-        lanes=lanes(found.lanes, space, time, notes),
+        lanes=lanes(content.lanes, space, time, notes),
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
         notes=notes.closed(lambda path: authored_path(stage, path)),  # USD numbers its prototypes anew each time
     )
-    complete = light.told_of_crowd(complete)
-    return complete, tuple(boundary.path for boundary in scene.fog), Outlook(stage, time, space, eye, found)
+    boundaries = tuple(boundary.path for boundary in scene.fog)
+    return light.with_note_on_crowd(complete), boundaries, Outlook(stage, time, space, eye, content)
 
 
 def _lit(scene: _Assembler, eye: Camera, light_scale: float, notes: Diagnostics) -> dict[str, Any]:
@@ -199,15 +192,13 @@ def _lit(scene: _Assembler, eye: Camera, light_scale: float, notes: Diagnostics)
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """No garbage collection meanwhile: all that is made lives on, and being looked at again and again is a tenth of the
-    time.
-    """
-    was = gc.isenabled()
+    """No garbage collection within it: nothing of a translation is freed, and a tenth of the time would go there."""
+    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was:
+        if enabled:
             gc.enable()
 
 
@@ -245,47 +236,47 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
     return Usd.TimeCode.Default()
 
 
-def looked_from(
-    stage: Usd.Stage, camera: str | None, frame: float | None, resolution: tuple[int, int] | None, notes: Diagnostics
-) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
+def looked_from(stage: Usd.Stage, view: View, notes: Diagnostics) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
     """The stage with its skeletons posed, the moment, the space around the camera, and the camera in it."""
-    time = at_mid_exposure(stage, _moment(stage, frame, notes), notes, path=camera)
+    time = at_mid_exposure(stage, _moment(stage, view.frame, notes), notes, path=view.camera)
     stage = posed(stage, time, notes)
     space = stage_space(stage, notes)
-    eye = read_camera(stage, space, time, notes, path=camera, resolution=resolution)
+    eye = read_camera(stage, space, time, notes, path=view.camera, resolution=view.resolution)
     space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
-    place = eye.to_world.copy()
-    place[:3, 3] -= space.origin_m
-    return stage, time, space, replace(eye, to_world=place)
+    to_world = eye.to_world.copy()
+    to_world[:3, 3] -= space.origin_m
+    return stage, time, space, replace(eye, to_world=to_world)
 
 
 def fog_around(
-    found: list[FogVolume], asked: Fog | None, eye: Camera, bounds_m: Array, notes: Diagnostics
+    volumes: list[FogVolume], fog: Fog | None, eye: Camera, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    """Fog volumes within each other and with the fog that is asked for, where the camera may stand."""
-    volume.refuse_many(found)
-    fog = volume.nested(found)
-    if asked is not None:
-        fog = _overridden(fog, asked, eye.to_world[:3, 3], bounds_m, notes)
-    volume.refuse_cut(fog, eye)
-    if fog and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in fog):
+    """Fog volumes within each other, with another fog in the outermost where one is given, and checked against the
+    camera.
+    """
+    volume.refuse_many(volumes)
+    nested = volume.nested(volumes)
+    if fog is not None:
+        nested = _overridden(nested, fog, eye.to_world[:3, 3], bounds_m, notes)
+    volume.refuse_cut(nested, eye)
+    if nested and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in nested):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
-    return fog
+    return nested
 
 
 def _overridden(
-    fog: tuple[FogVolume, ...], asked: Fog, eye: Array, bounds_m: Array, notes: Diagnostics
+    volumes: tuple[FogVolume, ...], fog: Fog, eye: Array, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    if fog or asked.clear:
-        return volume.in_fog(fog, asked)
-    made = volume.slab_around(asked, bounds_m[0], bounds_m[1], eye)
-    size = 2.0 * np.diag(made.boundary.to_world)[:3]
+    if volumes or fog.clear:
+        return volume.in_fog(volumes, fog)
+    slab = volume.slab_around(fog, bounds_m[0], bounds_m[1], eye)
+    size = 2.0 * np.diag(slab.boundary.to_world)[:3]
     notes.info(
         "",
         f"the stage has no fog; a layer of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} m around the camera is made "
         f"for it",
     )
-    return (made,)
+    return (slab,)
 
 
 class _Assembler:
@@ -299,11 +290,11 @@ class _Assembler:
         notes: Diagnostics,
         chooser: Chooser,
         mover: Mover,
-        materials: Materials,
+        images: ImageReader,
         meshes: Meshes,
     ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
-        self.images, self.materials = materials.images, materials
+        self.images, self.materials = images, Materials(time, notes, images)
         self.bindings = Bindings(stage, time, notes, self.materials)
         self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit, meshes)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
@@ -324,30 +315,28 @@ class _Assembler:
         self.emission_of: dict[str, Array] = {}
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
-        self.spread: list[Array | np.ndarray] = []
+        self.spread: list[Array | FloatArray] = []
         self.of_instances = InstancePrimvars(time, notes, self.bindings.inherited)
-        self.twins = Twins(notes)
         self.sky_paths: list[str] = []
         self.sky_names: list[str] = []
 
-    def build(self, found: Walk) -> None:
-        self.roots = [group.root for group in found.groups]
-        self.bindings.sheer = found.sheer
-        if found.clipped:
+    def build(self, content: Walk) -> None:
+        self.roots = [group.root for group in content.groups]
+        self.bindings.sheer = content.sheer
+        if content.clipped:
             self.drawer.meshes = None
-        self.bindings.look_up([*found.leaves, *[leaf for group in found.groups for leaf in group.leaves]])
+        self.bindings.look_up([*content.leaves, *[leaf for group in content.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
-        for start in range(0, len(found.leaves), _AHEAD):
-            some = found.leaves[start : start + _AHEAD]
+        for start in range(0, len(content.leaves), _AHEAD):
+            some = content.leaves[start : start + _AHEAD]
             self.drawer.look_ahead(some)
             for leaf in some:
                 self.put(leaf, None, to_scene)
         placements: dict[int, list[GroupInstance]] = {}
-        for placement in found.placements:
+        for placement in content.placements:
             placements.setdefault(placement.group, []).append(placement)
         for number, places in placements.items():
-            self.put_group(found.groups[number].leaves, places)
-        self.twins.tell()
+            self.put_group(content.groups[number].leaves, places)
         sky = light.merged_dome(self.domes, self.notes)
         if sky is not None:
             self.lights["light_sky"] = sky
@@ -360,11 +349,11 @@ class _Assembler:
             )
 
     def world(self) -> dict[str, Any]:
-        drawn = [
+        shapes = [
             *self.shapes.values(),
             *[shape for group in self.groups.values() for name, shape in group.items() if name != "type"],
         ]
-        worn = {shape["bsdf"]["id"] for shape in drawn}
+        worn = {shape["bsdf"]["id"] for shape in shapes}
         materials = {key: bsdf for key, bsdf in self.materials.bsdfs.items() if key in worn}
         return {"type": "scene", **materials, **self.shapes, **self.groups, **self.placed, **self.lights}
 
@@ -422,24 +411,24 @@ class _Assembler:
             )
             self.put_fog(leaf, None, matrix)
             return
-        given = self.around(placement) if placement is not None else None
-        for shape, emission, nits in self.drawer.parts(leaf, matrix, given):
-            self.add_shape(shape, emission, nits, leaf, placement, around)
+        context = self.context(placement) if placement is not None else None
+        for part in self.drawer.parts(leaf, matrix, context):
+            self.add_shape(part, leaf, placement, around)
 
-    def around(self, placement: GroupInstance, asked: set[str] | None = None) -> Around:
-        """What an instance gives to its leaves; the names that they ask for are added to `asked`."""
+    def context(self, placement: GroupInstance, names: set[str] | None = None) -> Around:
+        """Primvars that an instance gives to its leaves; names that are read are added to `names`."""
 
-        def value(name: str) -> Given | None:
-            if asked is not None:
-                asked.add(name)
+        def value(name: str) -> PrimvarValue | None:
+            if names is not None:
+                names.add(name)
             return self.of_instances.value(placement, name)
 
         return Around(Sdf.Path(self.roots[placement.group]), value)
 
     def put_fog(self, leaf: Leaf, source: Usd.Prim | None, matrix: Array) -> None:
-        made = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
-        if made is not None:
-            self.fog.append(made)
+        fog = volume.fog_volume(leaf.prim, source, matrix, self.time, self.notes)
+        if fog is not None:
+            self.fog.append(fog)
 
     def put_lamp(self, leaf: Leaf, matrix: Array, placement: GroupInstance | None, around: Array) -> None:
         light.refuse_many(leaf.path, len(self.flux_of))
@@ -461,44 +450,37 @@ class _Assembler:
             if name in lamp.emitter:
                 light.refuse_blinding(leaf.path, np.asarray(lamp.emitter[name].get("value", 0.0)))
         group = SKY if kind == "DistantLight" else self.light_group(leaf, placement)
+        entries = self.lights if lamp.shape is None else self.shapes
+        key = f"{'light' if lamp.shape is None else 'shape'}_{len(entries)}"
+        self.note_emission(key, leaf.prim)
+        self.note_motion(key, leaf, placement)
+        self.group_of[key], self.flux_of[key] = group, lamp.flux_lm
         if lamp.shape is None:
-            self.note_emission(f"light_{len(self.lights)}", leaf.prim)
-            self.note_motion(f"light_{len(self.lights)}", leaf, placement)
-            self.group_of[f"light_{len(self.lights)}"] = group
-            self.flux_of[f"light_{len(self.lights)}"] = lamp.flux_lm
-            self.lights[f"light_{len(self.lights)}"] = lamp.emitter
+            self.lights[key] = lamp.emitter
             return
-        self.note_emission(f"shape_{len(self.shapes)}", leaf.prim)
-        self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
-        self.group_of[f"shape_{len(self.shapes)}"] = group
-        self.flux_of[f"shape_{len(self.shapes)}"] = lamp.flux_lm
-        black = {"type": "ref", "id": self.materials.black().key}
+        black = self.materials.black().key
         if isinstance(lamp.shape, Triangles):
-            shape = geometry.mesh_shape(lamp.shape, self.materials.black().key, textured=False, colored=False)
+            shape = geometry.mesh_shape(lamp.shape, black, textured=False, colored=False)
         else:
-            shape = {**lamp.shape, "bsdf": black}
-        instance = (
-            self.instance(leaf, placement, around)
-            if leaf.owner is not None or (placement is not None and placement.owner is not None)
-            else None
-        )
-        self.new_shape({**shape, "emitter": lamp.emitter}, instance)
+            shape = {**lamp.shape, "bsdf": {"type": "ref", "id": black}}
+        labelled = leaf.owner is not None or (placement is not None and placement.owner is not None)
+        self.new_shape({**shape, "emitter": lamp.emitter}, self.instance(leaf, placement, around) if labelled else None)
 
     def note_emission(self, key: str, *prims: Usd.Prim, plain: bool = True) -> None:
-        """The spectrum that stands on a light; one that several lights share, or a picture colours, has none."""
-        found = [
+        """Keep the spectrum that is authored on a light; that of several lights, or of a picture, is not drawn."""
+        curves = [
             (prim, curve) for prim in prims if (curve := spectrum.emission(prim, self.time, self.notes)) is not None
         ]
-        if found and (len(prims) > 1 or not plain):
+        if curves and (len(prims) > 1 or not plain):
             self.notes.warn(
-                found[0][0].GetPath(),
+                curves[0][0].GetPath(),
                 "its emission spectrum is not drawn: the sky is of a picture, or of several domes",
             )
-        elif found:
-            self.emission_of[key] = found[0][1]
+        elif curves:
+            self.emission_of[key] = curves[0][1]
 
     def note_motion(self, key: str, leaf: Leaf, placement: GroupInstance | None) -> None:
-        """How a shape or lamp moves while the shutter is open, if it does; what deforms is only told."""
+        """Keep how a shape or lamp moves while the shutter is open, if it does; deforming meshes are only listed."""
         if not self.mover.open or leaf.kind == "DistantLight":
             return
         path = leaf.path
@@ -510,7 +492,7 @@ class _Assembler:
             self.deforming.append(path)
 
     def tell_motion(self) -> None:
-        """What moves, or should, while the shutter is open."""
+        """Note what moves, or should, while the shutter is open."""
         if self.motion_of:
             first = next(iter(self.mover.moving))
             self.notes.info(first, f"{len(self.mover.moving)} prims move while the shutter is open, as rigid bodies")
@@ -522,7 +504,7 @@ class _Assembler:
             )
 
     def light_group(self, leaf: Leaf, placement: GroupInstance | None) -> str:
-        """Light group of a lamp: as authored on it or above it, else by what it is part of."""
+        """Light group of a lamp: as authored on it or above it, else by the label of the thing that it belongs to."""
         above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
         owner = leaf.owner or (placement.owner if placement is not None else None)
         return (
@@ -531,29 +513,19 @@ class _Assembler:
             or group_by_label(owner.label if owner is not None else UNLABELED)
         )
 
-    def add_shape(
-        self,
-        shape: dict[str, Any],
-        emission: dict[str, Any] | None,
-        nits: float,
-        leaf: Leaf,
-        placement: GroupInstance | None,
-        around: Array,
-    ) -> None:
-        if emission is None and not self.mover.open and self.twins.hides(shape, leaf.path):
-            return
+    def add_shape(self, part: Part, leaf: Leaf, placement: GroupInstance | None, around: Array) -> None:
+        """A shape in the scene itself, with its label, motion and light."""
+        shape, emission, nits = part
+        key = f"shape_{len(self.shapes)}"
         instance = self.instance(leaf, placement, around)
-        self.note_motion(f"shape_{len(self.shapes)}", leaf, placement)
+        self.note_motion(key, leaf, placement)
         if emission is not None:
             light.refuse_many(leaf.path, len(self.flux_of))
-            material = self.bindings.bound.get(str(leaf.prim.GetPath()))
-            self.note_emission(
-                f"shape_{len(self.shapes)}",
-                material.GetPrim() if material and not light.is_light_mesh(leaf.prim) else leaf.prim,
-            )
-            self.group_of[f"shape_{len(self.shapes)}"] = self.light_group(leaf, placement)
+            material = None if light.is_light_mesh(leaf.prim) else self.bindings.bound.get(leaf.path)
+            self.note_emission(key, material.GetPrim() if material else leaf.prim)
+            self.group_of[key] = self.light_group(leaf, placement)
             light.refuse_blinding(leaf.path, np.asarray(nits))
-            self.flux_of[f"shape_{len(self.shapes)}"] = math.pi * _area_of(shape) * nits
+            self.flux_of[key] = math.pi * _area_of(shape) * nits
             shape = {**shape, "emitter": {"type": "area", "radiance": emission}}
         self.spread.append(_corners(shape))
         self.new_shape(shape, instance)
@@ -566,17 +538,7 @@ class _Assembler:
 
     def put_group(self, leaves: list[Leaf], places: list[GroupInstance]) -> None:
         """A group's leaves once, and its placements as instances; what shines, and few balls, are placed one by one."""
-        single, few = len(places) == 1, len(places) <= MOST_BALLS
-        alone = [
-            leaf
-            for leaf in leaves
-            if single
-            or (few and leaf.kind == "Sphere")
-            or leaf.kind.endswith("Light")
-            or leaf.kind in _DOMES
-            or leaf.fog is not None
-            or self.is_fog_box(leaf) is not False
-        ]
+        alone = [leaf for leaf in leaves if self.stands_alone(leaf, len(places))]
         for leaf in alone:
             for place in places:
                 self.put(leaf, place, self.space.matrix @ place.matrix)
@@ -584,54 +546,56 @@ class _Assembler:
         rest = [leaf for leaf in leaves if id(leaf) not in apart]
         if not rest:
             return
-        asked = set[str]()
-        given = self.around(places[0], asked)
-        first = [(leaf, self.drawer.parts(leaf, leaf.matrix, given, places=len(places))) for leaf in rest]
+        names = set[str]()
+        context = self.context(places[0], names)
+        first = [(leaf, self.drawer.parts(leaf, leaf.matrix, context, places=len(places))) for leaf in rest]
         faces = sum(len(shape.get("faces", ())) for _, parts in first for shape, _, _ in parts)
         most = min(max(MOST_TRIANGLES // max(faces, 1), FEWEST_KINDS), MOST_KINDS)
-        kinds = self.of_instances.kinds(places, sorted(asked), most) if asked else []
+        kinds = self.of_instances.kinds(places, sorted(names), most) if names else []
         if len(kinds) < 2:
             self.put_kind(first, places, None)
             return
-        arounds = [Around(Sdf.Path(self.roots[places[0].group]), given.get) for given, _ in kinds]
-        made: list[list[tuple[Leaf, list[Part]]]] = [[] for _ in kinds]
+        contexts = [Around(Sdf.Path(self.roots[places[0].group]), values.get) for values, _ in kinds]
+        of_kinds: list[list[tuple[Leaf, list[Part]]]] = [[] for _ in kinds]
         for leaf in rest:
             with self.drawer.one_mesh():
-                for parts, given in zip(made, arounds, strict=True):
-                    parts.append((leaf, self.drawer.parts(leaf, leaf.matrix, given, places=len(places))))
-        for parts, given, (_, rows) in zip(made, arounds, kinds, strict=True):
-            self.put_kind(parts, [places[row] for row in rows.tolist()], given)
+                for parts, context in zip(of_kinds, contexts, strict=True):
+                    parts.append((leaf, self.drawer.parts(leaf, leaf.matrix, context, places=len(places))))
+        for parts, context, (_, rows) in zip(of_kinds, contexts, kinds, strict=True):
+            self.put_kind(parts, [places[row] for row in rows.tolist()], context)
 
-    def put_kind(self, made: list[tuple[Leaf, list[Part]]], places: list[GroupInstance], given: Around | None) -> None:
-        """Instances of one group to which all around gives the same."""
-        there = np.array([place.matrix for place in places])
-        matrices = list(self.space.matrix @ there)
-        shared: list[tuple[Leaf, dict[str, Any]]] = []
-        twins = Twins(self.notes)
-        for leaf, parts in made:
-            shared += [
-                (leaf, shape) for shape, emission, _ in parts if emission is None and not twins.hides(shape, leaf.path)
-            ]
-            if any(emission is not None for _, emission, _ in parts):
-                for place, around in zip(places, matrices, strict=True):
-                    for shape, emission, nits in self.drawer.parts(
-                        leaf, around @ leaf.matrix, given or self.around(place)
-                    ):
-                        if emission is not None:
-                            self.add_shape(shape, emission, nits, leaf, place, around)
+    def stands_alone(self, leaf: Leaf, places: int) -> bool:
+        """Whether a leaf of a prototype is placed one by one: the only place of it, few balls, lights and fog."""
+        return (
+            places == 1
+            or (places <= MOST_BALLS and leaf.kind == "Sphere")
+            or leaf.kind.endswith("Light")
+            or leaf.kind in _DOMES
+            or leaf.fog is not None
+            or self.is_fog_box(leaf) is not False
+        )
+
+    def put_kind(
+        self, leaves: list[tuple[Leaf, list[Part]]], places: list[GroupInstance], context: Around | None
+    ) -> None:
+        """Instances of one group that inherit the same primvars."""
+        matrices = list(self.space.matrix @ np.array([place.matrix for place in places]))
+        shared = [(leaf, shape) for leaf, parts in leaves for shape, emission, _ in parts if emission is None]
+        for leaf, parts in leaves:
+            if all(emission is None for _, emission, _ in parts):
+                continue
+            for place, around in zip(places, matrices, strict=True):
+                for part in self.drawer.parts(leaf, around @ leaf.matrix, context or self.context(place)):
+                    if part[1] is not None:
+                        self.add_shape(part, leaf, place, around)
         if not shared:
             return
         key = f"group_{len(self.groups)}"
         names = [f"shape_{n}" for n in range(len(shared))]
-        self.groups[key] = {
-            "type": "shapegroup",
-            **{name: shape for name, (_, shape) in zip(names, shared, strict=True)},
-        }
+        shapes = {name: shape for name, (_, shape) in zip(names, shared, strict=True)}
+        self.groups[key] = {"type": "shapegroup", **shapes}
         group = {"type": "ref", "id": key}
-        hidden = np.zeros(len(places), dtype=bool) if self.mover.open else twins.hide_instances(there, places)
-        for place, matrix, hides in zip(places, matrices, hidden.tolist(), strict=True):
-            if hides:
-                continue
+        for place, matrix in zip(places, matrices, strict=True):
             instance = f"instance_{len(self.placed)}"
             self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": group}
             if (motion := self.mover.of(place.path)) is not None:
@@ -639,11 +603,9 @@ class _Assembler:
             for name, (leaf, _) in zip(names, shared, strict=True):
                 self.instance_of[(instance, name)] = self.instance(leaf, place, matrix)
         meshes = [shape["positions"] for _, shape in shared if "positions" in shape]
-        if meshes and not hidden.all():
-            low, high = extent(*meshes)
-            lowest, highest = boxes(low, high, np.array(matrices)[~hidden])
+        if meshes:
+            lowest, highest = boxes(*extent(*meshes), np.array(matrices))
             self.spread.append(np.stack([lowest.min(axis=0), highest.max(axis=0)]))
-        twins.tell()
 
     def bounds(self, eye: Array) -> Array:
         """(2, 3) corners of the box around the camera and all that is drawn."""
@@ -652,7 +614,7 @@ class _Assembler:
     # -- labels
 
     def instance(self, leaf: Leaf, placement: GroupInstance | None, around: Array) -> int:
-        """Label id of a leaf; a new one where its owner was not met before."""
+        """Label id of a leaf; a new one for an owner that has none."""
         if placement is None:
             owner = leaf.owner or Owner(leaf.model or leaf.path, UNLABELED)
             return self.instance_id(owner.path, owner.label, around)
@@ -672,7 +634,7 @@ class _Assembler:
         return self.instance_ids[path]
 
 
-def _corners(shape: dict[str, Any]) -> np.ndarray:
+def _corners(shape: dict[str, Any]) -> Array | FloatArray:
     """(N, 3) points in whose box a sphere or mesh of the scene lies."""
     if shape["type"] == "sphere":
         return np.array(shape["center"]) + np.array([[-1.0], [1.0]]) * shape["radius"]

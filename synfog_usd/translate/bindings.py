@@ -1,4 +1,4 @@
-"""What each shape wears: materials, the shape's own colours, and subsets of its faces.
+"""Materials of shapes, the shapes' own colours, and subsets of faces.
 
 Takes the leaves of a walk; gives finishes.
 """
@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade
 
+from synfog_usd.base.arrays import Indices
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import reflected
+from synfog_usd.translate.inputs import DISPLAY
 from synfog_usd.translate.instanced import Around, Inherited
-from synfog_usd.translate.material import DISPLAY, Finish, Materials
-from synfog_usd.translate.primvars import Given, constant, flattened
+from synfog_usd.translate.material import Finish, Materials
+from synfog_usd.translate.primvars import PrimvarValue, constant, flattened
 from synfog_usd.translate.shading import GREY
-from synfog_usd.translate.walk import ALSO_OVERS, CURVES, MESHES, Leaf
+from synfog_usd.translate.walk import ALSO_OVERS, Leaf
 
-_SEEN = Usd.TraverseInstanceProxies(ALSO_OVERS)
+_WITH_OVERS = Usd.TraverseInstanceProxies(ALSO_OVERS)
 
 
 class Bindings:
@@ -33,19 +34,19 @@ class Bindings:
 
     def __init__(self, stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, materials: Materials) -> None:
         self.stage, self.time, self.notes, self.materials = stage, time, notes, materials
-        self.bound: dict[str, Any] = {}
+        self.bound: dict[str, UsdShade.Material] = {}
         self.sheer = False
-        self._previewed: dict[str, Any] = {}
+        self._previewed: dict[str, UsdShade.Material] = {}
         self._below: dict[str, list[Usd.Prim]] = {}
         self.inherited = Inherited(time)
 
     def look_up(self, leaves: list[Leaf]) -> None:
-        """Look up the materials of all prims and subsets at once."""
+        """Look up the materials of all prims and subsets together."""
         prims = {leaf.path: leaf.prim for leaf in leaves}
         for leaf in leaves:
-            if leaf.kind in MESHES and leaf.path not in self._below:
+            if leaf.kind == "Mesh" and leaf.path not in self._below:
                 self._below[leaf.path] = [
-                    child for child in leaf.prim.GetFilteredChildren(_SEEN) if child.GetTypeName() == "GeomSubset"
+                    child for child in leaf.prim.GetFilteredChildren(_WITH_OVERS) if child.GetTypeName() == "GeomSubset"
                 ]
         prims |= {str(child.GetPath()): child for children in self._below.values() for child in children}
         if prims:
@@ -60,7 +61,7 @@ class Bindings:
 
     def finish_of(self, leaf: Leaf, path: str, around: Around | None = None) -> Finish:
         """The finish of a leaf, or of a subset of it, at `path`, within an instance or not."""
-        look = functools.partial(self.given, leaf, around)
+        lookup = functools.partial(self.primvar, leaf, around)
         material = self.bound.get(path)
         if leaf.material is not None and (material is None or leaf.stronger):
             material = UsdShade.Material(self.stage.GetPrimAtPath(leaf.material))
@@ -68,15 +69,15 @@ class Bindings:
             material = self._previewed[path]
             self.notes.info(path, "its material is bound for purpose 'preview' alone, and is drawn")
         if material:
-            finish = self.materials.finish(material, look, leaf.path)
+            finish = self.materials.finish(material, lookup, leaf.path)
             if not (finish.empty or finish.unknown):
                 return finish
             if finish.empty:
                 self.notes.warn(
                     leaf.path, f"its material {material.GetPath()} has no surface; displayColor or grey is used"
                 )
-        opacity = self._opacity(leaf, look("displayOpacity")) if self.sheer else 1.0
-        shown = look(DISPLAY)
+        opacity = self._opacity(leaf, lookup("displayOpacity")) if self.sheer else 1.0
+        shown = lookup(DISPLAY)
         if shown is not None and shown.varies:
             return self.materials.vertex_colored(opacity)
         color = shown.colour if shown is not None else GREY
@@ -86,28 +87,28 @@ class Bindings:
             color = tuple(reflected(np.array([color]), leaf.path, self.notes)[0].tolist())
         return self.materials.colored(color or GREY, opacity)
 
-    def _opacity(self, leaf: Leaf, given: Given | None) -> float:
+    def _opacity(self, leaf: Leaf, primvar: PrimvarValue | None) -> float:
         """Mean displayOpacity of a shape without a material."""
-        if given is None:
+        if primvar is None:
             return 1.0
-        if isinstance(given.value, str) or len(given.value) != 1:
-            self.notes.warn(leaf.path, f"primvar displayOpacity {given.what}, and is no number; 1 is taken")
+        if isinstance(primvar.value, str) or len(primvar.value) != 1:
+            self.notes.warn(leaf.path, f"primvar displayOpacity {primvar.what}, and is no number; 1 is taken")
             return 1.0
-        mean = given.value[0]
-        if given.varies and math.isfinite(mean):
+        mean = primvar.value[0]
+        if primvar.varies and math.isfinite(mean):
             self.notes.warn(leaf.path, "displayOpacity that varies is drawn as its mean")
-        taken = min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
-        if mean != taken:
-            self.notes.warn(leaf.path, f"displayOpacity is {mean:g}, which is no opacity; {taken:g} is taken")
-        return taken
+        opacity = min(max(mean, 0.0), 1.0) if math.isfinite(mean) else 1.0
+        if mean != opacity:
+            self.notes.warn(leaf.path, f"displayOpacity is {mean:g}, which is no opacity; {opacity:g} is taken")
+        return opacity
 
-    def given(self, leaf: Leaf, around: Around | None, name: str) -> Given | None:
+    def primvar(self, leaf: Leaf, around: Around | None, name: str) -> PrimvarValue | None:
         """The primvar `name` of a leaf: its own, else a constant one from above it within the prototype, from the
         instances around, or from above the prototype.
         """
-        own = UsdGeom.PrimvarsAPI(leaf.prim).GetPrimvar(name) if f"primvars:{name}" in leaf.authored else None
-        if own and own.HasAuthoredValue():
-            return self._own(own, leaf)
+        primvar = UsdGeom.PrimvarsAPI(leaf.prim).GetPrimvar(name) if f"primvars:{name}" in leaf.authored else None
+        if primvar and primvar.HasAuthoredValue():
+            return self._own(primvar, leaf)
         above = self.inherited.at(leaf.prim.GetParent(), name)
         if around is None:
             return above[0] if above else None
@@ -115,24 +116,24 @@ class Bindings:
             return above[0]
         return around.value(name) or (above[0] if above else None)
 
-    def _own(self, primvar: UsdGeom.Primvar, leaf: Leaf) -> Given | None:
+    def _own(self, primvar: UsdGeom.Primvar, leaf: Leaf) -> PrimvarValue | None:
         if primvar.GetInterpolation() == UsdGeom.Tokens.constant:
             return constant(primvar, self.time)
         values = flattened(primvar, self.time)
         if values is None or isinstance(values, str):
-            return None if values is None else Given(values)
+            return None if values is None else PrimvarValue(values)
         mean = tuple(values.mean(axis=0).tolist())
-        if leaf.kind in MESHES or leaf.kind in CURVES or leaf.kind == "Points":
-            return Given(mean, varies=True)
+        if leaf.kind in ("Mesh", "BasisCurves", "Points"):
+            return PrimvarValue(mean, varies=True)
         if (values != values[0]).any():
             self.notes.warn(
                 leaf.path, f"primvar {primvar.GetPrimvarName()} varies over a {leaf.kind}, and is drawn as its mean"
             )
-        return Given(mean)
+        return PrimvarValue(mean)
 
-    def subsets(self, leaf: Leaf, around: Around | None = None) -> list[tuple[np.ndarray, Finish]]:
+    def subsets(self, leaf: Leaf, around: Around | None = None) -> list[tuple[Indices, Finish]]:
         """Faces with a material of their own: of family 'materialBind', or bound directly."""
-        found = []
+        subsets = []
         for child in self._below.get(leaf.path, ()):
             subset = UsdGeom.Subset(child)
             direct = bool(UsdShade.MaterialBindingAPI(child).GetDirectBinding().GetMaterialPath())
@@ -144,10 +145,5 @@ class Bindings:
             indices = subset.GetIndicesAttr().Get(self.time)
             if indices is None or not len(indices):
                 continue
-            found.append(
-                (
-                    np.asarray(indices, dtype=np.int64),
-                    self.finish_of(leaf, str(child.GetPath()), around),
-                )
-            )
-        return found
+            subsets.append((np.asarray(indices, dtype=np.int64), self.finish_of(leaf, str(child.GetPath()), around)))
+        return subsets

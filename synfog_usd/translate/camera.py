@@ -1,4 +1,4 @@
-"""The camera: which one, how large the picture, what it sees.
+"""The camera that looks: its place, lens, picture and exposure.
 
 Takes a stage; gives the scene's `Camera` in stage metres, not yet recentred.
 """
@@ -11,6 +11,7 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdRender
 from scipy.spatial.transform import Rotation
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import StageError, did_you_mean
 from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import MISSING, cameras, composition_notes
@@ -67,85 +68,34 @@ def read_camera(
     if not settings and (named := stage.GetMetadata("renderSettingsPrimPath")):
         notes.warn("/", f"renderSettingsPrimPath is {named!r}, where no RenderSettings are; none are followed")
     _tell_what_is_left_out(settings, notes)
-    _tell_of_products(settings, prim, notes, asked=path is not None)
-    if planes := len(lens.clippingPlanes):
-        notes.warn(prim.GetPath(), f"its {planes} clippingPlanes cut nothing off here; hide what they should take away")
-    notes.token(prim.GetPath(), "projection", camera.GetProjectionAttr().Get(), _PROJECTIONS, "perspective")
-    parallel = lens.projection == Gf.Camera.Orthographic
-    width_mm, height_mm, focal = lens.horizontalAperture, lens.verticalAperture, lens.focalLength
-    if parallel:
-        focal = 1.0  # of no meaning: the aperture itself is what is seen
+    _tell_of_products(settings, prim, notes, named=path is not None)
+    parallel = _is_parallel(camera, lens, notes)
+    width_mm, height_mm = lens.horizontalAperture, lens.verticalAperture
+    focal = 1.0 if parallel else lens.focalLength  # without meaning where the aperture itself is seen
     if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
         raise StageError(
             f"{prim.GetPath()}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0"
         )
     width_px, height_px = _resolution(settings, resolution, width_mm / height_mm, prim)
     policy = settings.GetAspectRatioConformPolicyAttr().Get() if settings else "expandAperture"
-    conformed_width, conformed_height = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
+    aperture = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
     focal_m = focal * 0.1 * space.metres_per_unit
-    f_number, focus_m = 0.0 if parallel else float(lens.fStop), float(lens.focusDistance) * space.metres_per_unit
-    if not 0.0 <= f_number < math.inf:
-        notes.warn(prim.GetPath(), f"fStop is {f_number:g}, which is no f-number; the lens is drawn as a pinhole")
-        f_number = 0.0
-    if f_number > 0.0 and settings and settings.GetDisableDepthOfFieldAttr().Get():
-        notes.info(settings.GetPath(), "disableDepthOfField: the lens is drawn as a pinhole")
-        f_number = 0.0
-    if f_number > 0.0 and focal_m > _ABSURD_FOCAL_M:
-        notes.warn(
-            prim.GetPath(),
-            f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units); the lens is drawn as "
-            f"a pinhole",
-        )
-        f_number = 0.0
-    if f_number > 0.0 and not 0.0 < focus_m < math.inf:
-        what = (
-            "fStop without focusDistance"
-            if focus_m == 0.0
-            else f"focusDistance is {lens.focusDistance:g}, which is no distance"
-        )
-        notes.warn(prim.GetPath(), f"{what}; the lens is drawn as a pinhole")
-        f_number = 0.0
-    if (projection := prim.GetAttribute(OMNIVERSE)) and str(projection.Get(time) or "pinhole") != "pinhole":
-        notes.warn(
-            prim.GetPath(),
-            f"{OMNIVERSE} {projection.Get(time)!r} is not read, and a pinhole drawn; a pipeline with a fisheye, as "
-            f"'surround', draws one",
-        )
-    scale = camera.ComputeLinearExposureScale(time)
-    if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
-        notes.info(
-            prim.GetPath(), f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own"
-        )
-    for attribute in (camera.GetShutterOpenAttr(), camera.GetShutterCloseAttr()):
-        if not math.isfinite(float(attribute.Get(time) or 0.0)):
-            notes.warn(prim.GetPath(), f"{attribute.GetName()} is {attribute.Get(time):g}, no time; nothing is blurred")
-    to_world = _place(prim, space, time)
+    focus_m = float(lens.focusDistance) * space.metres_per_unit
+    _tell_of_camera(camera, time, notes)
     drift, turn = _motion(prim, space, time, notes)
-    fov = PARALLEL_DEG if parallel else math.degrees(2.0 * math.atan(conformed_width / (2.0 * focal)))
-    if not MIN_VIEW_DEG <= fov <= MAX_VIEW_DEG:
-        raise StageError(
-            f"{prim.GetPath()}: an aperture of {width_mm:g} and a focal length of {focal:g} give an angle of view of "
-            f"{fov:.3g} degrees; "
-            f"{MIN_VIEW_DEG:g} to {MAX_VIEW_DEG:g} can be drawn"
-        )
-    shift = (lens.horizontalApertureOffset / conformed_width, lens.verticalApertureOffset / conformed_height)
-    if not all(abs(part) <= MAX_SHIFT for part in shift):
-        raise StageError(
-            f"{prim.GetPath()}: its aperture offset is {shift[0]:.3g} x {shift[1]:.3g} times the aperture; at most "
-            f"{MAX_SHIFT:g} can be drawn"
-        )
+    fov, shift = _field_of_view(prim, lens, aperture, None if parallel else focal)
     return Camera(
         path=str(prim.GetPath()),
-        to_world=to_world,
+        to_world=_place(prim, space, time),
         width_px=width_px,
         height_px=height_px,
         fov_x_deg=fov,
         shift=shift,
         near_m=_near(camera, lens, space, notes),
         focal_length_m=focal_m,
-        f_number=f_number,
+        f_number=0.0 if parallel else _f_number(prim, settings, lens, focal_m, focus_m, notes),
         focus_m=focus_m,
-        width_m=conformed_width * 0.1 * space.metres_per_unit if parallel else 0.0,
+        width_m=aperture[0] * 0.1 * space.metres_per_unit if parallel else 0.0,
         drift_m=drift,
         turn_rad=turn,
         rolling=_rolling(prim, time, notes),
@@ -153,8 +103,85 @@ def read_camera(
     )
 
 
+def _is_parallel(camera: UsdGeom.Camera, lens: Gf.Camera, notes: Diagnostics) -> bool:
+    """Whether a camera is orthographic."""
+    notes.token(camera.GetPath(), "projection", camera.GetProjectionAttr().Get(), _PROJECTIONS, "perspective")
+    return bool(lens.projection == Gf.Camera.Orthographic)
+
+
+def _f_number(
+    prim: Usd.Prim,
+    settings: UsdRender.Settings,
+    lens: Gf.Camera,
+    focal_m: float,
+    focus_m: float,
+    notes: Diagnostics,
+) -> float:
+    """The lens's f-number; 0 for a pinhole, as which a lens without sensible values is drawn."""
+    f_number = float(lens.fStop)
+    if f_number == 0.0:
+        return 0.0
+    if not 0.0 < f_number < math.inf:
+        problem = f"fStop is {f_number:g}, which is no f-number"
+    elif settings and settings.GetDisableDepthOfFieldAttr().Get():
+        notes.info(settings.GetPath(), "disableDepthOfField: the lens is drawn as a pinhole")
+        return 0.0
+    elif focal_m > _ABSURD_FOCAL_M:
+        problem = f"a focal length of {focal_m:.2f} m makes no sense for depth of field (wrong units)"
+    elif focus_m == 0.0:
+        problem = "fStop without focusDistance"
+    elif not 0.0 < focus_m < math.inf:
+        problem = f"focusDistance is {lens.focusDistance:g}, which is no distance"
+    else:
+        return f_number
+    notes.warn(prim.GetPath(), f"{problem}; the lens is drawn as a pinhole")
+    return 0.0
+
+
+def _tell_of_camera(camera: UsdGeom.Camera, time: Usd.TimeCode, notes: Diagnostics) -> None:
+    """Note attributes of a camera that are not followed."""
+    prim, path = camera.GetPrim(), camera.GetPath()
+    if planes := len(camera.GetClippingPlanesAttr().Get(time) or ()):
+        notes.warn(path, f"its {planes} clippingPlanes cut nothing off here; hide what they should take away")
+    if (projection := prim.GetAttribute(OMNIVERSE)) and str(projection.Get(time) or "pinhole") != "pinhole":
+        notes.warn(
+            path,
+            f"{OMNIVERSE} {projection.Get(time)!r} is not read, and a pinhole drawn; a pipeline with a fisheye, as "
+            f"'surround', draws one",
+        )
+    scale = camera.ComputeLinearExposureScale(time)
+    if scale != 1.0 and any(prim.GetAttribute(name).HasAuthoredValue() for name in _EXPOSURE):
+        notes.info(path, f"the camera's own exposure (a factor of {scale:.4g}) is not used; a bake meters its own")
+    for attribute in (camera.GetShutterOpenAttr(), camera.GetShutterCloseAttr()):
+        if not math.isfinite(float(attribute.Get(time) or 0.0)):
+            notes.warn(path, f"{attribute.GetName()} is {attribute.Get(time):g}, no time; nothing is blurred")
+
+
+def _field_of_view(
+    prim: Usd.Prim, lens: Gf.Camera, aperture: tuple[float, float], focal: float | None
+) -> tuple[float, tuple[float, float]]:
+    """Horizontal angle of view [deg], and the shift of the aperture in its sizes; `focal` is None for a parallel view.
+
+    Raises:
+        StageError: one that cannot be drawn.
+    """
+    fov = PARALLEL_DEG if focal is None else math.degrees(2.0 * math.atan(aperture[0] / (2.0 * focal)))
+    if not MIN_VIEW_DEG <= fov <= MAX_VIEW_DEG:
+        raise StageError(
+            f"{prim.GetPath()}: an aperture of {lens.horizontalAperture:g} and a focal length of {focal:g} give an "
+            f"angle of view of {fov:.3g} degrees; {MIN_VIEW_DEG:g} to {MAX_VIEW_DEG:g} can be drawn"
+        )
+    shift = (lens.horizontalApertureOffset / aperture[0], lens.verticalApertureOffset / aperture[1])
+    if not all(abs(part) <= MAX_SHIFT for part in shift):
+        raise StageError(
+            f"{prim.GetPath()}: its aperture offset is {shift[0]:.3g} x {shift[1]:.3g} times the aperture; at most "
+            f"{MAX_SHIFT:g} can be drawn"
+        )
+    return fov, shift
+
+
 def _tell_what_is_left_out(settings: UsdRender.Settings, notes: Diagnostics) -> None:
-    """What render settings ask for and a picture here does not have."""
+    """Note render settings that are not followed."""
     if not settings:
         return
     path = settings.GetPath()
@@ -169,8 +196,8 @@ def _tell_what_is_left_out(settings: UsdRender.Settings, notes: Diagnostics) -> 
         notes.warn(path, "materialBindingPurposes is not followed: materials for 'full' come before all others here")
 
 
-def _tell_of_products(settings: UsdRender.Settings, camera: Usd.Prim, notes: Diagnostics, *, asked: bool) -> None:
-    """What products say of a frame other than what is drawn; `asked`: the camera is named by the caller."""
+def _tell_of_products(settings: UsdRender.Settings, camera: Usd.Prim, notes: Diagnostics, *, named: bool) -> None:
+    """Note render products that differ from the frame that is drawn; `named`: the caller names the camera."""
     if not settings:
         return
     stage = settings.GetPrim().GetStage()
@@ -179,26 +206,26 @@ def _tell_of_products(settings: UsdRender.Settings, camera: Usd.Prim, notes: Dia
     for target in paths:
         if not UsdRender.Product(stage.GetPrimAtPath(target)):
             notes.warn(settings.GetPath(), f"names the product {target}, which does not exist")
-    seen = {product.GetPath(): product.GetCameraRel().GetForwardedTargets() for product in products}
-    is_made = asked or camera.GetPath() in [target for targets in seen.values() for target in targets]
+    cameras_of = {product.GetPath(): product.GetCameraRel().GetForwardedTargets() for product in products}
+    is_drawn = named or camera.GetPath() in [target for targets in cameras_of.values() for target in targets]
     for product in products:
         path = product.GetPath()
-        other = [name for name in _OF_FRAMES if _differs(product.GetPrim(), settings.GetPrim(), name)]
-        if other:
-            notes.warn(path, f"{', '.join(other)} of a product is not read; the RenderSettings' own counts")
-        for target in seen[path]:
+        differing = [name for name in _OF_FRAMES if _differs(product.GetPrim(), settings.GetPrim(), name)]
+        if differing:
+            notes.warn(path, f"{', '.join(differing)} of a product is not read; the RenderSettings' own counts")
+        for target in cameras_of[path]:
             if not UsdGeom.Camera(stage.GetPrimAtPath(target)):
                 notes.warn(path, f"names the camera {target}, which does not exist")
-            elif not is_made:
+            elif not is_drawn:
                 notes.warn(path, f"is of {target}, and {camera.GetPath()} is drawn; --camera {target} draws the other")
 
 
 def _differs(product: Usd.Prim, settings: Usd.Prim, name: str) -> bool:
-    """Whether a product says something of its own that the render settings do not say."""
-    own, common = product.GetAttribute(name), settings.GetAttribute(name)
+    """Whether a product has another value than the render settings."""
+    special, common = product.GetAttribute(name), settings.GetAttribute(name)
     if name == "resolution" and not common.HasAuthoredValue():  # then it is not USD's fallback that counts
-        return bool(own.HasAuthoredValue())
-    return bool(own.HasAuthoredValue() and own.Get() != common.Get())
+        return bool(special.HasAuthoredValue())
+    return bool(special.HasAuthoredValue() and special.Get() != common.Get())
 
 
 def _rolling(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> float:
@@ -234,7 +261,7 @@ def _near(camera: UsdGeom.Camera, lens: Gf.Camera, space: Space, notes: Diagnost
 
 
 def at_mid_exposure(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics, *, path: str | None) -> Usd.TimeCode:
-    """The moment at which a frame's middle row is half exposed: what a scene says without its motion is of then.
+    """The moment at which a frame's middle row is half exposed, and of which a scene is but for its motion.
 
     USD's shutter times count in frames from the frame's own time; under a rolling shutter and global reset they are
     those of the top row.  Without an authored shutter, or one that is open for no time, it is the frame's time itself.
@@ -291,7 +318,7 @@ def _readout(prim: Usd.Prim, time: Usd.TimeCode) -> float:
     return seconds * rate if 0.0 < seconds < math.inf and 0.0 < rate < math.inf else 0.0
 
 
-def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> np.ndarray:
+def _place(prim: Usd.Prim, space: Space, time: Usd.TimeCode) -> Array:
     with np.errstate(invalid="ignore"):  # which `_upright` refuses
         place = space.matrix @ columns(UsdGeom.XformCache(time).GetLocalToWorldTransform(prim))
     return _upright(place, prim)
@@ -334,18 +361,18 @@ def own_camera(stage: Usd.Stage) -> str | None:
 
 
 def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, notes: Diagnostics) -> Usd.Prim:
-    known = cameras(stage)
+    paths = cameras(stage)
     if path is not None:
-        if path not in known:
-            listed = ", ".join(known) or "none"
-            raise StageError(f"{path}: no such camera; the stage has {listed}.{did_you_mean(path, known)}")
+        if path not in paths:
+            listed = ", ".join(paths) or "none"
+            raise StageError(f"{path}: no such camera; the stage has {listed}.{did_you_mean(path, paths)}")
         return stage.GetPrimAtPath(path)
     if settings:
         for target in settings.GetCameraRel().GetForwardedTargets():
-            if str(target) in known:
+            if str(target) in paths:
                 return stage.GetPrimAtPath(target)
             notes.warn(settings.GetPath(), f"names the camera {target}, which does not exist")
-    if not known:
+    if not paths:
         missing = "".join(
             f"; {note.path}: {note.text.removesuffix('; drawn without it')}"
             for note in composition_notes(stage)[:1]
@@ -357,23 +384,25 @@ def _chosen(stage: Usd.Stage, settings: UsdRender.Settings, path: str | None, no
             else "add a Camera prim, or sublayer the stage under one that has one"
         )
         raise StageError(f"{stage.GetRootLayer().identifier}: the stage has no camera{missing}; {advice}")
-    if len(known) > 1:
-        notes.info(known[0], f"the first of {len(known)} cameras is used; name another with --camera")
-    return stage.GetPrimAtPath(known[0])
+    if len(paths) > 1:
+        notes.info(paths[0], f"the first of {len(paths)} cameras is used; name another with --camera")
+    return stage.GetPrimAtPath(paths[0])
 
 
 def _resolution(
-    settings: UsdRender.Settings, asked: tuple[int, int] | None, aspect: float, prim: Usd.Prim
+    settings: UsdRender.Settings, size: tuple[int, int] | None, aspect: float, prim: Usd.Prim
 ) -> tuple[int, int]:
-    if asked is None and settings and settings.GetResolutionAttr().HasAuthoredValue():
-        asked = tuple(int(n) for n in settings.GetResolutionAttr().Get())  # type: ignore[assignment]
-    if asked is None:
-        asked = (DEFAULT_WIDTH_PX, max(round(DEFAULT_WIDTH_PX / aspect), 1))
-    if not all(1 <= n <= MAX_SIZE_PX for n in asked):
+    """(width, height) [px]: `size`, else the render settings', else the default width."""
+    if size is None and settings and settings.GetResolutionAttr().HasAuthoredValue():
+        width, height = settings.GetResolutionAttr().Get()
+        size = int(width), int(height)
+    if size is None:
+        size = (DEFAULT_WIDTH_PX, max(round(DEFAULT_WIDTH_PX / aspect), 1))
+    if not all(1 <= n <= MAX_SIZE_PX for n in size):
         raise StageError(
-            f"{prim.GetPath()}: a picture of {asked[0]} x {asked[1]} pixels; each side is 1 to {MAX_SIZE_PX}"
+            f"{prim.GetPath()}: a picture of {size[0]} x {size[1]} pixels; each side is 1 to {MAX_SIZE_PX}"
         )
-    return asked
+    return size
 
 
 def _conformed(
@@ -394,7 +423,7 @@ def _conformed(
     return (height * aspect, height) if keep_height[policy] else (width, width / aspect)
 
 
-def _upright(matrix: np.ndarray, prim: Usd.Prim) -> np.ndarray:
+def _upright(matrix: Array, prim: Usd.Prim) -> Array:
     """A rigid right-handed frame with the same place and view direction."""
     back, up = matrix[:3, 2], matrix[:3, 1]
     if not np.isfinite(matrix).all():

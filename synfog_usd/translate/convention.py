@@ -1,4 +1,4 @@
-"""How a file's light intensities are meant: the specification's way, or an exporter's own.
+"""Conventions of light intensities: the specification's, or an exporter's own.
 
 Takes light prims; gives the `Convention` that each is read by.  Knows nothing of
 Mitsuba.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from pxr import Sdf, Usd
 
@@ -24,7 +24,7 @@ _SPECIFIED_SINCE = 2505
 
 @dataclass(frozen=True)
 class Convention:
-    """What differs from the UsdLux specification since 25.05.
+    """Differences from the UsdLux specification since 25.05.
 
     Attributes:
         name: as in `Lights`.
@@ -61,7 +61,7 @@ class Chooser:
     """The convention of each light of a stage.
 
     Args:
-        asked: one of `Lights`; 'auto' goes by the layer in which a light's
+        name: one of `Lights`; 'auto' goes by the layer in which a light's
             intensity stands: its documentation begins with 'Blender', or it or the
             root layer holds Omniverse's render settings.
 
@@ -69,22 +69,22 @@ class Chooser:
         ParameterError: no such convention.
     """
 
-    def __init__(self, stage: Usd.Stage, asked: str) -> None:
-        if asked not in get_args(Lights):
+    def __init__(self, stage: Usd.Stage, name: str) -> None:
+        if name not in get_args(Lights):
             raise ParameterError(
-                f"--lights {asked}: lights are read by "
-                f"{', '.join(get_args(Lights))}.{did_you_mean(asked, get_args(Lights))}"
+                f"--lights {name}: lights are read by "
+                f"{', '.join(get_args(Lights))}.{did_you_mean(name, get_args(Lights))}"
             )
-        self.asked = asked
+        self.name = name
         self.counts: Counter[str] = Counter()
         self._of_layer: dict[str, Convention] = {}
         self._of_root = _by_layer(stage.GetRootLayer())
 
     def of(self, prim: Usd.Prim) -> Convention:
         """The convention by which a light is read."""
-        found = CONVENTIONS[self.asked] if self.asked != "auto" else self._by_origin(prim)
-        self.counts[found.name] += 1
-        return found
+        convention = CONVENTIONS[self.name] if self.name != "auto" else self._by_origin(prim)
+        self.counts[convention.name] += 1
+        return convention
 
     def _by_origin(self, prim: Usd.Prim) -> Convention:
         for name in ("inputs:intensity", "intensity"):
@@ -94,17 +94,17 @@ class Chooser:
                 layer = stack[0].layer
                 if layer.identifier not in self._of_layer:
                     self._of_layer[layer.identifier] = _by_layer(layer)
-                found = self._of_layer[layer.identifier]
-                return self._of_root if found is USD and self._of_root.name == "rtx-legacy" else found
+                of_layer = self._of_layer[layer.identifier]
+                return self._of_root if of_layer is USD and self._of_root.name == "rtx-legacy" else of_layer
         return self._of_root
 
     def report(self, notes: Diagnostics) -> None:
         """Note which conventions were used, where that is not simply the specification's."""
-        if set(self.counts) - {"usd"} or (self.asked != "auto" and self.counts):
+        if set(self.counts) - {"usd"} or (self.name != "auto" and self.counts):
             used = ", ".join(f"{count} by {name!r}" for name, count in sorted(self.counts.items()))
             why = (
                 "as asked for"
-                if self.asked != "auto"
+                if self.name != "auto"
                 else "by the program that wrote them; else sf.bake(..., lights='usd')"
             )
             notes.info("", f"lights are read {used}, {why}")
@@ -115,21 +115,9 @@ def _by_layer(layer: Sdf.Layer) -> Convention:
         return CONVENTIONS["blender"]
     data = layer.customLayerData
     settings = data.get("renderSettings", {})
-    rtx = (
-        [name for name in settings if str(name).startswith(("rtx:", "omni:rtx:"))] if isinstance(settings, dict) else []
-    )
-    if not rtx and "omni_layer" not in data:
+    settings = settings if isinstance(settings, dict) else {}
+    if "omni_layer" not in data and not any(str(name).startswith(("rtx:", "omni:rtx:")) for name in settings):
         return USD
-    return USD if _version(settings) >= _SPECIFIED_SINCE else CONVENTIONS["rtx-legacy"]
-
-
-def _version(settings: Any) -> int:
-    value: Any = (
-        settings.get("omni:rtx:usdluxVersion", settings.get("rtx:usdluxVersion", 0))
-        if isinstance(settings, dict)
-        else 0
-    )
-    try:
-        return int(value)
-    except (TypeError, ValueError):
-        return 0
+    version = str(settings.get("omni:rtx:usdluxVersion", settings.get("rtx:usdluxVersion", 0)))
+    specified = version.isdecimal() and int(version) >= _SPECIFIED_SINCE
+    return USD if specified else CONVENTIONS["rtx-legacy"]

@@ -1,7 +1,7 @@
 """Curves as tubes or ribbons, and points as balls: meshes in the prim's own coordinates.
 
-Takes BasisCurves, HermiteCurves, NurbsCurves and Points; gives triangles.  `widths` are diameters.  Knows
-nothing of materials or Mitsuba.
+Takes BasisCurves and Points; gives triangles.  `widths` are diameters.  Knows nothing of materials or
+Mitsuba.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from synfog_usd.translate import finite
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.implicit import ball
-from synfog_usd.translate.nurbs import Nurbs, nurbs_curves
 from synfog_usd.translate.primvars import array_at, columns_of, flattened
 from synfog_usd.translate.sweep import ribbons, tubes
 
 MOST_TRIANGLES = 4_000_000
-"""Triangles of one prim; about 0.5 GB with the renderer's copy."""
+"""Most triangles of one prim; they take 0.5 GB with the renderer's copy."""
 
 _COARSE_TO_FINE = ((3, 1), (4, 2), (6, 4), (8, 6))
 """(sides of a tube, steps of a cubic segment); the finest that stays within the budget is taken."""
@@ -37,88 +36,89 @@ _BASES = {
 
 
 def read_curves(
-    prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnostics, color: str | None = "displayColor"
+    prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics, color: str | None = "displayColor"
 ) -> Triangles | None:
-    """Curves as tubes whose mean width is theirs, or as flat ribbons where they have normals; None with a note.
+    """BasisCurves as tubes whose mean width is theirs, or as flat ribbons where they have normals; None with a note.
 
     Args:
-        prim: a BasisCurves, HermiteCurves or NurbsCurves.
-        kind: which of these.
+        prim: a BasisCurves.
         color: the primvar of their colours, or None for none.
 
     Ends are open.
     """
     path = prim.GetPath()
-    points, counts = array_at(prim, "points", time, 3), array_at(prim, "curveVertexCounts", time, 1)
-    if points is None or counts is None or not len(counts):
-        notes.warn(path, "curves without points are left out")
+    shape = _shape(prim, time, notes)
+    if shape is None:
         return None
-    sizes = counts[:, 0].astype(np.int64)
-    if (sizes < 0).any() or sizes.sum() != len(points) or not np.isfinite(points).all():
-        notes.warn(
-            path,
-            f"curves whose counts do not fit their {len(points)} points, or whose points are no finite numbers, are "
-            f"left out",
-        )
-        return None
-    api = UsdGeom.Curves(prim)
-    widths, spread_widths = _widths(prim, time, str(api.GetWidthsInterpolation()))
+    widths, interpolation = _widths(prim, time, str(UsdGeom.Curves(prim).GetWidthsInterpolation()))
     if widths is None or not np.isfinite(widths).all() or not widths.max() > 0.0:
         notes.warn(path, "curves without widths are left out; author widths (diameters)")
         return None
-    shape = _shape(prim, kind, time, points, sizes, notes)
-    if shape is None:
+    width_of = Spread(widths, interpolation, shape)
+    if not width_of.fits:
+        notes.warn(path, f"widths are too few for their interpolation {interpolation!r}; the curves take the mean")
+    facing = _facing(prim, time, shape, notes)
+    colors = _curve_colors(prim, time, color, shape, notes) if color is not None else None
+    sides, steps = _fineness(shape)
+    sides = 1 if facing is not None else sides
+    total = 2 * sides * int(shape.segments.sum()) * steps
+    if total > MOST_TRIANGLES:
+        text = f"{len(shape.sizes)} curves would take {total} triangles, of at most {MOST_TRIANGLES}; they are left out"
+        notes.warn(path, text)
         return None
-    facing, spread = array_at(prim, "primvars:normals", time, 3), api.GetNormalsInterpolation()
-    if facing is None:
-        facing = array_at(prim, "normals", time, 3)
-    else:
-        spread = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals").GetInterpolation()
-    if facing is not None and not np.isfinite(facing).all():
-        notes.warn(path, "normals that are no finite numbers are not used; the curves are tubes")
-        facing = None
-    total = int(shape.segments.sum())
+    parts = [_swept(shape, chosen, steps, sides, width_of, facing, colors) for chosen in shape.by_size()]
+    if not parts:
+        notes.warn(path, "curves of too few points for one segment are left out")
+        return None
+    offsets = np.cumsum([0, *[len(part.positions) for part in parts[:-1]]])
+    return Triangles(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)]),
+        np.concatenate([part.normals for part in parts if part.normals is not None]),
+        colors=np.concatenate([part.colors for part in parts if part.colors is not None]) if colors else None,
+    )
+
+
+def _fineness(shape: Cubics) -> tuple[int, int]:
+    """(sides of a tube, steps of a segment): the finest that stay within the budget, else the coarsest."""
+    segments = int(shape.segments.sum())
     fits = [
         (sides, steps)
         for sides, steps in _COARSE_TO_FINE
-        if 2 * sides * total * (steps if shape.cubic else 1) <= _FEW_TRIANGLES
+        if 2 * sides * segments * (steps if shape.cubic else 1) <= _FEW_TRIANGLES
     ]
     sides, steps = fits[-1] if fits else _COARSE_TO_FINE[0]
-    sides = 1 if facing is not None else sides
-    steps = steps if shape.cubic else 1
-    if 2 * sides * total * steps > MOST_TRIANGLES:
-        notes.warn(
-            path,
-            f"{len(sizes)} curves would take {2 * sides * total * steps} triangles, of at most {MOST_TRIANGLES}; they "
-            f"are left out",
-        )
+    return sides, steps if shape.cubic else 1
+
+
+def _swept(
+    shape: Cubics, chosen: Indices, steps: int, sides: int, widths: Spread, facing: Spread | None, colors: Spread | None
+) -> Triangles:
+    """Some curves of one size as tubes, or as ribbons where they have a facing."""
+    line = shape.sampled(shape.points, chosen, steps)
+    radius = 0.5 * np.maximum(widths.along(chosen, steps)[..., 0], 0.0)
+    if facing is None:
+        positions, faces, normals = tubes(line, radius, sides)
+    else:
+        positions, faces, normals = ribbons(line, radius, facing.along(chosen, steps))
+    if colors is None:
+        return Triangles(positions, faces, normals)
+    along = np.broadcast_to(colors.along(chosen, steps), line.shape)
+    around = len(positions) // (line.shape[0] * line.shape[1])
+    return Triangles(positions, faces, normals, colors=np.repeat(along.reshape(-1, 3), around, axis=0))
+
+
+def _facing(prim: Usd.Prim, time: Usd.TimeCode, shape: Cubics, notes: Diagnostics) -> Spread | None:
+    """Normals of flat curves, primvars:normals before normals; None for round ones."""
+    normals = array_at(prim, "primvars:normals", time, 3)
+    if normals is None:
+        normals, interpolation = array_at(prim, "normals", time, 3), UsdGeom.Curves(prim).GetNormalsInterpolation()
+    else:
+        interpolation = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals").GetInterpolation()
+    if normals is not None and not np.isfinite(normals).all():
+        notes.warn(prim.GetPath(), "normals that are no finite numbers are not used; the curves are tubes")
         return None
-    width_of = Spread(widths, spread_widths, shape)
-    if not width_of.fits:
-        notes.warn(path, f"widths are too few for their interpolation {spread_widths!r}; the curves take the mean")
-    color_of = _curve_colors(prim, time, color, shape, notes) if color is not None else None
-    facing_of = None if facing is None else Spread(facing, str(spread), shape)
-    made: list[tuple[Array, Indices, Array]] = []
-    colors: list[Array] = []
-    for chosen in shape.alike():
-        line = shape.line(chosen, steps)
-        radius = 0.5 * np.maximum(width_of.along(chosen, steps)[..., 0], 0.0)
-        made.append(
-            tubes(line, radius, sides) if facing_of is None else ribbons(line, radius, facing_of.along(chosen, steps))
-        )
-        if color_of is not None:
-            along = np.broadcast_to(color_of.along(chosen, steps), line.shape)
-            colors.append(np.repeat(along.reshape(-1, 3), len(made[-1][0]) // (line.shape[0] * line.shape[1]), axis=0))
-    if not made:
-        notes.warn(path, "curves of too few points for one segment are left out")
-        return None
-    offsets = np.cumsum([0, *[len(positions) for positions, _, _ in made[:-1]]])
-    return Triangles(
-        np.concatenate([positions for positions, _, _ in made]),
-        np.concatenate([faces + offset for (_, faces, _), offset in zip(made, offsets, strict=True)]),
-        np.concatenate([normals for _, _, normals in made]),
-        colors=np.concatenate(colors) if colors else None,
-    )
+    return None if normals is None else Spread(normals, str(interpolation), shape)
 
 
 def _widths(prim: Usd.Prim, time: Usd.TimeCode, interpolation: str) -> tuple[Array | None, str]:
@@ -126,23 +126,20 @@ def _widths(prim: Usd.Prim, time: Usd.TimeCode, interpolation: str) -> tuple[Arr
     there, a constant primvar from above.
     """
     api = UsdGeom.PrimvarsAPI(prim)
-    own = array_at(prim, "widths", time, 1)
-    primvar = api.GetPrimvar("widths") if own is not None else api.FindPrimvarWithInheritance("widths")
-    found = flattened(primvar, time) if primvar else None
-    if isinstance(found, np.ndarray) and found.shape[1] == 1:
-        return found, str(primvar.GetInterpolation())
-    return own, interpolation
+    widths = array_at(prim, "widths", time, 1)
+    primvar = api.GetPrimvar("widths") if widths is not None else api.FindPrimvarWithInheritance("widths")
+    values = flattened(primvar, time) if primvar else None
+    if isinstance(values, np.ndarray) and values.shape[1] == 1:
+        return values, str(primvar.GetInterpolation())
+    return widths, interpolation
 
 
-def _curve_colors(
-    prim: Usd.Prim, time: Usd.TimeCode, name: str, shape: Cubics | Hermite | Nurbs, notes: Diagnostics
-) -> Spread | None:
+def _curve_colors(prim: Usd.Prim, time: Usd.TimeCode, name: str, shape: Cubics, notes: Diagnostics) -> Spread | None:
     """A primvar of curves as colours at their samples; None where it has none."""
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
     values = _colors(prim, time, name, notes)
     if values is None:
         return None
-    interpolation = str(primvar.GetInterpolation())
+    interpolation = str(UsdGeom.PrimvarsAPI(prim).GetPrimvar(name).GetInterpolation())
     spread = Spread(values, "varying" if interpolation == "faceVarying" else interpolation, shape)
     if not spread.fits:
         notes.warn(prim.GetPath(), f"primvar {name} has too few values for {interpolation!r}; the curves take the mean")
@@ -158,24 +155,21 @@ def _colors(prim: Usd.Prim, time: Usd.TimeCode, name: str, notes: Diagnostics) -
     return None if array is None else finite.of_array(array, "vertex_color", prim.GetPath(), notes)
 
 
-def _shape(
-    prim: Usd.Prim, kind: str, time: Usd.TimeCode, points: Array, sizes: Indices, notes: Diagnostics
-) -> Cubics | Hermite | Nurbs | None:
-    """How curves run, or None with a note."""
-    path = prim.GetPath()
-    if kind == "NurbsCurves":
-        found = nurbs_curves(prim, time, points, sizes)
-        if isinstance(found, str):
-            notes.warn(path, f"{found}; the curves are left out")
-            return None
-        return found
-    if kind == "HermiteCurves":
-        tangent = array_at(prim, "tangents", time, 3)
-        if tangent is None or len(tangent) != len(points) or not np.isfinite(tangent).all():
-            notes.warn(path, f"Hermite curves of {len(points)} points without as many tangents are left out")
-            return None
-        return Hermite(points, sizes, np.maximum(sizes - 1, 0), tangent)
-    curves = UsdGeom.BasisCurves(prim)
+def _shape(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Cubics | None:
+    """The curves without their widths, or None with a note."""
+    path, curves = prim.GetPath(), UsdGeom.BasisCurves(prim)
+    points, counts = array_at(prim, "points", time, 3), array_at(prim, "curveVertexCounts", time, 1)
+    if points is None or counts is None or not len(counts):
+        notes.warn(path, "curves without points are left out")
+        return None
+    sizes = counts[:, 0].astype(np.int64)
+    if (sizes < 0).any() or sizes.sum() != len(points) or not np.isfinite(points).all():
+        notes.warn(
+            path,
+            f"curves whose counts do not fit their {len(points)} points, or whose points are no finite numbers, are "
+            f"left out",
+        )
+        return None
     wrap = notes.token(path, "wrap", curves.GetWrapAttr().Get(), ("nonperiodic", "periodic", "pinned"), "nonperiodic")
     degree = notes.token(path, "type", curves.GetTypeAttr().Get(), ("linear", "cubic"), "cubic")
     basis = "linear" if degree == "linear" else str(curves.GetBasisAttr().Get())
@@ -213,52 +207,13 @@ class Cubics:
         """Whether the end of a curve is its beginning."""
         return self.wrap == "periodic"
 
-    def alike(self) -> list[Indices]:
-        """Numbers of the curves that can be sampled together."""
+    def by_size(self) -> list[Indices]:
+        """Numbers of the curves of one size each, which are sampled together."""
         return [np.flatnonzero(self.sizes == size) for size in np.unique(self.sizes[self.segments >= 1])]
-
-    def line(self, chosen: Indices, steps: int) -> Array:
-        """(F, S, 3) points along some curves."""
-        return self.sampled(self.points, chosen, steps)
 
     def sampled(self, values: Array, chosen: Indices, steps: int) -> Array:
         """(F, S, C) of values that go with the points."""
         return _sampled(_of_curves(values, self.sizes, chosen), self.basis, self.wrap, steps)
-
-
-@dataclass(frozen=True)
-class Hermite:
-    """HermiteCurves: cubic between points, with a tangent at each of these.
-
-    Attributes:
-        points: (N, 3).
-        sizes, segments: how many of each a curve has.
-        tangent: (N, 3), for a parameter from 0 to 1 on each segment.
-    """
-
-    points: Array
-    sizes: Indices
-    segments: Indices
-    tangent: Array
-    cubic = True
-    closed = False
-
-    def alike(self) -> list[Indices]:
-        """Numbers of the curves that can be sampled together."""
-        return [np.flatnonzero(self.sizes == size) for size in np.unique(self.sizes[self.segments >= 1])]
-
-    def line(self, chosen: Indices, steps: int) -> Array:
-        """(F, S, 3) points along some curves: Bezier curves whose inner points lie a third of the tangents away."""
-        point, tangent = (_of_curves(values, self.sizes, chosen) for values in (self.points, self.tangent))
-        inner = np.stack(
-            [point[:, :-1], point[:, :-1] + tangent[:, :-1] / 3.0, point[:, 1:] - tangent[:, 1:] / 3.0], axis=2
-        )
-        control = np.concatenate([inner.reshape(len(chosen), -1, 3), point[:, -1:]], axis=1)
-        return _sampled(control, "bezier", "nonperiodic", steps)
-
-    def sampled(self, values: Array, chosen: Indices, steps: int) -> Array:
-        """(F, S, C) of values that go with the points: even between these, for they have no tangents."""
-        return _evenly(_of_curves(values, self.sizes, chosen), steps)
 
 
 def read_points(
@@ -343,9 +298,9 @@ def _of_curves(values: Array, sizes: Indices, chosen: Indices) -> Array:
 
 def _evenly(values: Array, steps: int) -> Array:
     """(F, S, C) of (F, n, C) values, `steps` to each stretch between two."""
-    place = np.arange((values.shape[1] - 1) * steps + 1) / steps
-    low = np.minimum(place.astype(np.int64), values.shape[1] - 2)
-    share = (place - low)[:, None]
+    at = np.arange((values.shape[1] - 1) * steps + 1) / steps
+    low = np.minimum(at.astype(np.int64), values.shape[1] - 2)
+    share = (at - low)[:, None]
     return np.asarray((1.0 - share) * values[:, low] + share * values[:, low + 1])
 
 
@@ -358,24 +313,17 @@ class Spread:
         shape: the curves.
     """
 
-    def __init__(self, values: Array, interpolation: str, shape: Cubics | Hermite | Nurbs) -> None:
+    def __init__(self, values: Array, interpolation: str, shape: Cubics) -> None:
         ends = shape.segments + (0 if shape.closed else 1)
         per_curve = {"constant": None, "uniform": None, "vertex": shape.sizes, "varying": ends}.get(
             interpolation, shape.sizes
         )
-        wanted = 1 if interpolation == "constant" else len(shape.sizes) if per_curve is None else int(per_curve.sum())
-        if len(values) < wanted and len(values) in (
-            1,
-            len(shape.sizes),
-        ):  # as many exporters mean it that leave the word out
-            interpolation, per_curve, wanted = ("constant" if len(values) == 1 else "uniform"), None, len(values)
-        self.fits = len(values) >= wanted
-        self.values, self.kind, self.shape, self.per_curve = (
-            values,
-            interpolation if self.fits else "mean",
-            shape,
-            per_curve,
-        )
+        least = 1 if interpolation == "constant" else len(shape.sizes) if per_curve is None else int(per_curve.sum())
+        if len(values) < least and len(values) in (1, len(shape.sizes)):  # of exporters that leave the word out
+            interpolation, per_curve, least = ("constant" if len(values) == 1 else "uniform"), None, len(values)
+        self.fits = len(values) >= least
+        self.kind = interpolation if self.fits else "mean"
+        self.values, self.shape, self.per_curve = values, shape, per_curve
 
     def along(self, chosen: Indices, steps: int) -> Array:
         """(F, S, C) or (F, 1, C) values at the samples of curves that are sampled together."""

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.scene import Camera, SceneDict
 
 GROUND_ALBEDO = 0.2
-"""Of the ground in an open view: dry asphalt and grass."""
+"""Albedo of the ground in an open view, as of dry asphalt and grass."""
 
 NIGHT_LUX = 100.0
-"""Below it no day is meant: sunset under clear sky gives 400 lux, an overcast noon 10 000, civil twilight ends at 3."""
+"""Illuminance of open ground [lx] that any day exceeds; sunset under clear sky gives 400 lux."""
 
 NOON_SUN_LUX, NOON_GROUND_LUX = 80_000.0, 20_000.0
 """What a clear noon's sun gives across its rays, and open ground has under a bright sky without sun."""
@@ -74,7 +74,7 @@ class Outdoors:
         """How light it is, in words and numbers; where no day is that dark, with the option that makes it noon.
 
         Args:
-            times: what all lights were multiplied by.
+            times: factor on all lights.
         """
         if not self.ground_lux > 0.0:
             return "lamps alone shine, without sun and sky" if self.lamps else "nothing shines"
@@ -128,23 +128,23 @@ def measured(world: Mapping[str, Any], camera: Camera) -> Outdoors:
             lamps = lamps or _shines(light)
     across = np.linspace(0.0, 1.0, 33)[:-1] + 1 / 64
     rays = camera.directions(np.stack(np.meshgrid(across, across), axis=-1)).reshape(-1, 3)
-    seen = np.zeros(len(rays))
+    nits_seen = np.zeros(len(rays))
     if sky is not None and sky["type"] == "constant":
         nits = float(LUMINANCE @ np.broadcast_to(np.asarray(sky["radiance"]["value"], dtype=np.float64), 3))
         ground += math.pi * nits
-        seen[:] = nits
+        nits_seen[:] = nits
     elif sky is not None:
         nits_of, way, steradians = _texels(sky)
         ground += float((nits_of * np.maximum(way[..., 2], 0.0) * steradians).sum())
-        seen = nits_of.reshape(-1)[_nearest(rays @ sky["to_world"][:3, :3], nits_of.shape)]
-    seen = np.where(rays[:, 2] > 0.0, seen, GROUND_ALBEDO * ground / math.pi)
-    return Outdoors(sun, ground, float(seen.mean()), lamps)
+        nits_seen = nits_of.reshape(-1)[_nearest(rays @ sky["to_world"][:3, :3], nits_of.shape)]
+    nits_seen = np.where(rays[:, 2] > 0.0, nits_seen, GROUND_ALBEDO * ground / math.pi)
+    return Outdoors(sun, ground, float(nits_seen.mean()), lamps)
 
 
 def _shines(part: Mapping[str, Any]) -> bool:
     """Whether a part of a scene is a lamp, a surface that shines, or has one in it."""
     if part.get("type") == "shapegroup":
-        return any(_shines(one) for one in part.values() if isinstance(one, dict))
+        return any(_shines(shape) for shape in part.values() if isinstance(shape, dict))
     return "emitter" in part or part.get("type") in ("point", "spot", "photometric")
 
 
@@ -160,17 +160,17 @@ def _texels(sky: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     return nits, local @ sky["to_world"][:3, :3].T, 2.0 * np.pi**2 / (width * height) * np.sin(polar)
 
 
-def _nearest(local: Array, shape: tuple[int, ...]) -> Any:
+def _nearest(local: Array, shape: tuple[int, ...]) -> Indices:
     """Texel number that each direction of an environment's own frame falls on."""
     height, width = shape
     column = np.floor(np.arctan2(local[:, 0], -local[:, 2]) / (2.0 * np.pi) * width).astype(np.int64) % width
     row = np.clip(np.arccos(np.clip(local[:, 1], -1.0, 1.0)) / np.pi * height, 0, height - 1).astype(np.int64)
-    return row * width + column
+    return np.asarray(row * width + column)
 
 
 def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
-    """What says that a day is meant: a name, a sun above the horizon, or a file without lux; None where nothing does,
-    or a name speaks of night.
+    """The sign of a day: a name, a sun above the horizon, or a file without lux; None where there is none, or a name of
+    night.
 
     Args:
         names: of lights, of their pictures, of the stage's file and of the chosen lighting.
@@ -191,7 +191,7 @@ def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
 
 
 def brightened(world: Mapping[str, Any], times: float) -> dict[str, Any]:
-    """The same with all that shines multiplied by a factor."""
+    """A scene's world with all lights multiplied by a factor."""
     return {name: _brighter(part, times) if isinstance(part, dict) else part for name, part in world.items()}
 
 
@@ -199,10 +199,10 @@ def _brighter(part: dict[str, Any], times: float) -> dict[str, Any]:
     if part["type"] == "envmap":
         return {**part, "bitmap": (part["bitmap"] * times).astype(np.float32)}
     if part["type"] == "shapegroup":
-        return {name: _brighter(one, times) if isinstance(one, dict) else one for name, one in part.items()}
+        return {name: _brighter(value, times) if isinstance(value, dict) else value for name, value in part.items()}
     if "emitter" in part:
         return {**part, "emitter": _brighter(part["emitter"], times)}
-    return {name: _times(one, times) if name in _LIT else one for name, one in part.items()}
+    return {name: _times(value, times) if name in _LIT else value for name, value in part.items()}
 
 
 def _times(colour: dict[str, Any], times: float) -> dict[str, Any]:

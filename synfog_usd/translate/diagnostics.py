@@ -1,4 +1,4 @@
-"""What the translation left out or made simpler, collected while it runs."""
+"""Notes on what the translation leaves out or makes simpler, collected while it runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 from synfog_usd.base.notes import Note
 
 MAX_SAME = 10
-"""Notes of the same text that are kept one by one; the rest is counted."""
+"""Notes of the same text that are listed; the rest is counted."""
 
 
 class Diagnostics:
@@ -18,8 +18,8 @@ class Diagnostics:
         self._by_text: dict[tuple[Literal["info", "warning"], str], dict[str, None]] = {}
 
     @property
-    def told(self) -> int:
-        """How many there are."""
+    def count(self) -> int:
+        """Number of notes."""
         return sum(map(len, self._by_text.values()))
 
     def info(self, path: object, text: str) -> None:
@@ -30,13 +30,13 @@ class Diagnostics:
         """The picture differs from what the author meant."""
         self._by_text.setdefault(("warning", text), {})[str(path)] = None
 
-    def token(self, path: object, name: str, value: object, known: Collection[str], taken: str) -> str:
-        """A token if it is one of those that are known; else `taken`, with a warning. None is no token: `taken`."""
-        if value is None or str(value) in known:
-            return taken if value is None else str(value)
-        words = ", ".join(known)
-        self.warn(path, f"{name} is {str(value)[:40]!r}, which is none of {words}; {taken!r} is taken")
-        return taken
+    def token(self, path: object, name: str, value: object, allowed: Collection[str], fallback: str) -> str:
+        """A token if it is allowed; the fallback for None, and with a warning for any other."""
+        if value is None or str(value) in allowed:
+            return fallback if value is None else str(value)
+        words = ", ".join(allowed)
+        self.warn(path, f"{name} is {str(value)[:40]!r}, which is none of {words}; {fallback!r} is taken")
+        return fallback
 
     def extend(self, notes: list[Note]) -> None:
         """Take over notes of another room."""

@@ -1,7 +1,7 @@
 """The same scene in another fog, or from another camera, without translating it again.
 
-Where the variants of the fog say nothing but of fog, all else of a scene stays what it
-is.  Which prims a variant says something of is read from its specs; what those are, from
+Where the variants of the fog have opinions on fog alone, all else of a scene stays as it
+is.  Opinions of a variant are read from its specs, and the kinds of their prims from
 the composed stage.  Where anything else may have changed, the stage is translated anew.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 from pxr import Sdf, Usd
@@ -19,24 +19,19 @@ from synfog_usd.base.notes import Note
 from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, SceneDict
 from synfog_usd.stage.open import authored_path, selected
-from synfog_usd.stage.opinions import said_of
+from synfog_usd.stage.opinions import opinions_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
 from synfog_usd.translate import volume
-from synfog_usd.translate.assemble import (
-    Outlook,
-    TakenOver,
-    fog_around,
-    looked_from,
-    with_boundaries,
-)
+from synfog_usd.translate.assemble import Outlook, Reused, View, fog_around, looked_from, with_boundaries
 from synfog_usd.translate.camera import half_exposure
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.material import Refusal
 from synfog_usd.translate.space import Space
 from synfog_usd.translate.walk import walk
 
 _CONTAINERS = frozenset({"", "Scope", "Xform"})
 """Types of prims that are nothing by themselves."""
+
+_AS_AUTHORED = View()
 
 
 class Exchange:
@@ -44,9 +39,9 @@ class Exchange:
 
     Args:
         stage: with its variants chosen.
+        view: how it is looked at, by the first camera of a rig.
         rig: prim paths of further cameras, which look at the same moment.
-        camera, frame, resolution, fog, lights, light_scale, refusal: see `translate`.
-        before: of the same stage with other variants: meshes and pictures that stand as they did are taken from it.
+        before: of the same stage with other variants; meshes and pictures that did not change are reused.
 
     Attributes:
         scene: the stage as it was chosen.
@@ -56,31 +51,17 @@ class Exchange:
     """
 
     def __init__(
-        self,
-        stage: Usd.Stage,
-        *,
-        camera: str | None = None,
-        frame: float | None = None,
-        resolution: tuple[int, int] | None = None,
-        fog: Fog | None = None,
-        lights: str = "auto",
-        light_scale: float = 1.0,
-        refusal: Refusal | None = None,
-        rig: Sequence[str] = (),
-        before: Exchange | None = None,
+        self, stage: Usd.Stage, view: View = _AS_AUTHORED, *, rig: Sequence[str] = (), before: Exchange | None = None
     ) -> None:
-        self._camera, self._frame, self._resolution = camera, frame, resolution
-        light: dict[str, Any] = {"lights": lights, "light_scale": light_scale, "refusal": refusal}
-        self._made = TakenOver() if before is None else before._made
-        self.scene, boundaries, seen = with_boundaries(
-            stage, camera=camera, frame=frame, resolution=resolution, fog=fog, **light, made=self._made
-        )
-        self._moment = seen.time, half_exposure(seen.stage, seen.time, seen.eye.path)
-        self._origin_m = seen.space.origin_m
-        looked = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]
-        self.scene = replace(self.scene, further_cameras=tuple(eye for *_, eye in looked if eye is not None))
-        begun = self._read(stage, fog, seen)
-        self._begun = begun if begun is not None and boundaries == begun.boundaries else None
+        self._view = view
+        self._reused: Reused = Reused() if before is None else before._reused
+        self.scene, boundaries, outlook = with_boundaries(stage, view, self._reused)
+        self._moment = outlook.time, half_exposure(outlook.stage, outlook.time, outlook.eye.path)
+        self._origin_m = outlook.space.origin_m
+        cameras = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]
+        self.scene = replace(self.scene, further_cameras=tuple(eye for *_, eye in cameras if eye is not None))
+        first = self._read(stage, view.fog, outlook)
+        self._first = first if first is not None and boundaries == first.boundaries else None
 
     def within(self, stage: Usd.Stage, *, fog: Fog | None = None, camera: str | None = None) -> SceneDict | None:
         """The scene in the fog that is now chosen on the stage.
@@ -98,67 +79,68 @@ class Exchange:
             StageError: fog that makes no sense.
         """
         if camera is None or camera == self.scene.camera.path:
-            begun, now = self._begun, self._read(stage, fog)
-            if begun is None or now is None or not _only_fog(begun, now):
-                return None
-            return replace(self.scene, fog=now.fog, notes=now.notes)
+            now = self._read(stage, fog)
+            return replace(self.scene, fog=now.fog, notes=now.notes) if self._differs_in_fog(now) else None
         notes = Diagnostics()
         posed, time, space, eye = self._looked(stage, camera, notes)
         if eye is None:
             return None
-        seen = Outlook(posed, time, space, eye, walk(posed, time, Diagnostics()))
-        begun, now = self._begun, self._read(stage, fog, seen)
-        if begun is None or now is None or not _only_fog(begun, now):
+        now = self._read(stage, fog, Outlook(posed, time, space, eye, walk(posed, time, Diagnostics())))
+        if not self._differs_in_fog(now):
             return None
-        others = (one for one in (self.scene.camera, *self.scene.further_cameras) if one.path != camera)
-        known = (note for note in self.scene.notes if note.path != self.scene.camera.path)
-        own = notes.closed(lambda path: authored_path(stage, path))
+        neighbours = (
+            neighbour for neighbour in (self.scene.camera, *self.scene.further_cameras) if neighbour.path != camera
+        )
+        of_scene = (note for note in self.scene.notes if note.path != self.scene.camera.path)
+        of_camera = notes.closed(lambda path: authored_path(stage, path))
         return replace(
             self.scene,
             camera=eye,
-            further_cameras=tuple(others),
+            further_cameras=tuple(each for each in cameras if each.path != camera),
             bounds_m=_around(self.scene.bounds_m, eye.to_world[:3, 3]),
             fog=now.fog,
-            notes=tuple(dict.fromkeys((*known, *own, *now.notes))),
+            notes=tuple(dict.fromkeys((*of_scene, *of_camera, *now.notes))),
         )
+
+    def _differs_in_fog(self, now: _Fogs | None) -> TypeGuard[_Fogs]:
+        """Whether nothing but fog can differ from the scene as it was translated."""
+        return self._first is not None and now is not None and _only_fog(self._first, now)
 
     def _looked(
         self, stage: Usd.Stage, camera: str, notes: Diagnostics
     ) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera | None]:
-        """What `looked_from` gives for another camera, in the same space; None for one that looks at another moment."""
-        stage, time, space, eye = looked_from(stage, camera, self._frame, self._resolution, notes)
-        place = eye.to_world.copy()
-        place[:3, 3] += space.origin_m - self._origin_m
+        """`looked_from` of another camera in the same space; None for one that looks at another moment."""
+        stage, time, space, eye = looked_from(stage, replace(self._view, camera=camera), notes)
+        to_world = eye.to_world.copy()
+        to_world[:3, 3] += space.origin_m - self._origin_m
         same = (time, half_exposure(stage, time, eye.path)) == self._moment
-        return stage, time, replace(space, origin_m=self._origin_m), replace(eye, to_world=place) if same else None
+        space = replace(space, origin_m=self._origin_m)
+        return stage, time, space, replace(eye, to_world=to_world) if same else None
 
-    def _read(self, stage: Usd.Stage, fog: Fog | None, seen: Outlook | None = None) -> _Fogs | None:
-        said = said_of(stage, FOG_VARIANT_SET)
-        if said is None:
+    def _read(self, stage: Usd.Stage, fog: Fog | None, outlook: Outlook | None = None) -> _Fogs | None:
+        """The fog of a stage as its variants stand; None where a variant may change anything else."""
+        opinions = opinions_of(stage, FOG_VARIANT_SET)
+        if opinions is None:
             return None
-        chosen, notes, others = selected(stage).get(FOG_VARIANT_SET), Diagnostics(), _others(stage)
-        if seen is None:
-            looked = looked_from(stage, self._camera, self._frame, self._resolution, Diagnostics())
-            seen = Outlook(*looked, walk(looked[0], looked[1], Diagnostics()))
-        stage, time, space, eye, found = seen
-        if any(leaf.fog is not None for group in found.groups for leaf in group.leaves):
+        chosen, notes, visible = selected(stage).get(FOG_VARIANT_SET), Diagnostics(), _visible(stage)
+        if outlook is None:
+            looked = looked_from(stage, self._view, Diagnostics())
+            outlook = Outlook(*looked, walk(looked[0], looked[1], Diagnostics()))
+        stage, time, space, eye, content = outlook
+        if any(leaf.fog is not None for group in content.groups for leaf in group.leaves):
             return None
-        leaves = [leaf for leaf in found.leaves if leaf.fog is not None]
-        volumes = [
-            made
-            for leaf in leaves
-            if (made := volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes)) is not None
-        ]
+        leaves = [leaf for leaf in content.leaves if leaf.fog is not None]
+        read = [volume.fog_volume(leaf.prim, leaf.fog, space.matrix @ leaf.matrix, time, notes) for leaf in leaves]
+        volumes = [each for each in read if each is not None]
         bounds = _around(self.scene.bounds_m, eye.to_world[:3, 3])
         around = fog_around(volumes, fog, eye, bounds, notes)
-        boundaries = tuple(part.path for part in volumes)
         paths = frozenset(Sdf.Path(leaf.path) for leaf in leaves)
         return _Fogs(
             chosen,
-            said,
-            others - paths,
+            opinions,
+            visible - paths,
             paths,
-            boundaries,
+            tuple(part.path for part in volumes),
             around,
             notes.closed(lambda path: authored_path(stage, path)),
         )
@@ -170,17 +152,17 @@ class _Fogs:
 
     Attributes:
         chosen: the variant.
-        said: prims of which the fog's variant says anything.
-        others: prims that are, or may be, anything but fog.
+        opinions: prims on which the fog's variant has one.
+        visible: prims that are, or may be, anything but fog.
         leaves: prims that are fog boundaries, switched on or not.
-        boundaries: paths of those that are switched on, in the order of the walk.
+        boundaries: paths of active boundaries, in the order of the walk.
         fog: what they hold, with the visibility that is asked for.
         notes: on all of that.
     """
 
     chosen: str | None
-    said: frozenset[Sdf.Path]
-    others: frozenset[Sdf.Path]
+    opinions: frozenset[Sdf.Path]
+    visible: frozenset[Sdf.Path]
     leaves: frozenset[Sdf.Path]
     boundaries: tuple[str, ...]
     fog: tuple[FogVolume, ...]
@@ -192,21 +174,21 @@ def _around(bounds_m: Array, eye: Array) -> Array:
     return np.stack([np.minimum(bounds_m[0], eye), np.maximum(bounds_m[1], eye)])
 
 
-def _only_fog(one: _Fogs, other: _Fogs) -> bool:
-    """Whether it is the same variant, or each prim of which either says anything is fog, or holds fog and nothing
+def _only_fog(first: _Fogs, second: _Fogs) -> bool:
+    """Whether it is the same variant, or each prim on which either has an opinion is fog, or holds fog and nothing
     else.
     """
-    if one.chosen == other.chosen:
+    if first.chosen == second.chosen:
         return True
-    leaves, rest = one.leaves | other.leaves, one.others | other.others
+    leaves, visible = first.leaves | second.leaves, first.visible | second.visible
     return all(
-        any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in rest)
-        for path in one.said | other.said
+        any(leaf.HasPrefix(path) for leaf in leaves) and not any(prim.HasPrefix(path) for prim in visible)
+        for path in first.opinions | second.opinions
     )
 
 
-def _others(stage: Usd.Stage) -> frozenset[Sdf.Path]:
-    """Prims that are more than containers; what is not active or not defined is nothing."""
+def _visible(stage: Usd.Stage) -> frozenset[Sdf.Path]:
+    """Prims that are more than containers, without inactive and undefined ones."""
     return frozenset(
         prim.GetPath()
         for prim in Usd.PrimRange(stage.GetPseudoRoot())

@@ -87,9 +87,9 @@ def part(
         and polygons.faces is not None
         and all(attribute.corner is None for attribute in polygons.attributes.values())
     ):
-        own = {name: attribute.values for name, attribute in polygons.attributes.items()}
-        normals = own.get("normals", smooth_normals)
-        return Triangles(polygons.points, polygons.faces, normals, own.get("st"), own.get("color"))
+        values = {name: attribute.values for name, attribute in polygons.attributes.items()}
+        normals = values.get("normals", smooth_normals)
+        return Triangles(polygons.points, polygons.faces, normals, values.get("st"), values.get("color"))
     if faces is not None:
         triangles = triangles[faces[polygons.face_of]]
     if not len(triangles):

@@ -9,11 +9,11 @@ from __future__ import annotations
 import functools
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.base.errors import StageError
 
 MAX_BYTES = 4 << 20
@@ -26,7 +26,7 @@ class Photometry:
 
     Attributes:
         vertical_deg: (V,) rising, within 0 to 180.
-        horizontal_deg: (H,) rising; 0 alone, or up to 90, 180 or 360 by symmetry.
+        horizontal_deg: (H,) rising; 0 alone, or up to a quarter, half or whole turn, by symmetry.
         candela: (H, V) >= 0.
     """
 
@@ -34,7 +34,7 @@ class Photometry:
     horizontal_deg: Array
     candela: Array
 
-    def at(self, vertical_deg: Any, horizontal_deg: Any) -> Array:
+    def at(self, vertical_deg: npt.ArrayLike, horizontal_deg: npt.ArrayLike) -> Array:
         """Candela in directions of any shape; 0 outside of the measured range of vertical angles."""
         v, h = np.broadcast_arrays(
             np.asarray(vertical_deg, dtype=np.float64), np.mod(np.asarray(horizontal_deg, dtype=np.float64), 360.0)
@@ -112,7 +112,7 @@ def parse(data: bytes, name: str) -> Photometry:
     return Photometry(vertical, horizontal, np.maximum(candela * (factor * ballast), 0.0))
 
 
-def _place(nodes: Array, at: Array) -> tuple[Any, Array]:
+def _place(nodes: Array, at: Array) -> tuple[Indices, Array]:
     """Index of the node below and the share of the one above, kept within."""
     if len(nodes) == 1:
         return np.zeros(at.shape, dtype=np.int64), np.zeros(at.shape)

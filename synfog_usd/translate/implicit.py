@@ -51,7 +51,7 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnost
                 [-width / 2, length / 2, 0],
             ]
         )
-        made = Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0.0, 1.0], (4, 1)))
+        upright = Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0.0, 1.0], (4, 1)))
     else:
         height = number("height", 2.0 if kind in ("Cylinder", "Cylinder_1", "Cone") else 1.0)
         radius = number("radius", 0.5 if kind.startswith("Capsule") else 1.0)
@@ -61,9 +61,10 @@ def read_implicit(prim: Usd.Prim, kind: str, time: Usd.TimeCode, notes: Diagnost
             bottom, top = number("radiusBottom", radius), number("radiusTop", radius)
         else:
             bottom = top = radius
-        made = capsule(height, bottom, top) if kind.startswith("Capsule") else frustum(height, bottom, top)
+        upright = capsule(height, bottom, top) if kind.startswith("Capsule") else frustum(height, bottom, top)
     turn = (_PLANE_TURN if kind == "Plane" else _AXIS_TURN).get(axis, np.eye(3))
-    return Triangles(made.positions @ turn.T, made.faces, None if made.normals is None else made.normals @ turn.T)
+    turned = None if upright.normals is None else upright.normals @ turn.T
+    return Triangles(upright.positions @ turn.T, upright.faces, turned)
 
 
 _AXIS_TURN = {"X": np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), "Y": np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])}
@@ -81,8 +82,8 @@ def cube(half: float) -> Triangles:
 def sphere_mesh(radius: float) -> Triangles:
     """A sphere of revolution about Z with exact normals."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, ROUND // 2 + 1)
-    made = _revolved(np.cos(angles), np.sin(angles), np.cos(angles), np.sin(angles))
-    return Triangles(made.positions * radius, made.faces, made.normals)
+    unit = _revolved(np.cos(angles), np.sin(angles), np.cos(angles), np.sin(angles))
+    return Triangles(unit.positions * radius, unit.faces, unit.normals)
 
 
 @functools.cache
@@ -90,9 +91,9 @@ def ball(divisions: int) -> tuple[Array, Indices, float]:
     """An icosphere: (N, 3) unit vertices, (M, 3) faces, and the factor that gives it the surface of the sphere."""
     import trimesh
 
-    made = trimesh.creation.icosphere(subdivisions=divisions)
-    vertices = np.asarray(made.vertices, dtype=np.float64)
-    return vertices, np.asarray(made.faces, dtype=np.int64), float(np.sqrt(4.0 * np.pi / made.area))
+    sphere = trimesh.creation.icosphere(subdivisions=divisions)
+    vertices = np.asarray(sphere.vertices, dtype=np.float64)
+    return vertices, np.asarray(sphere.faces, dtype=np.int64), float(np.sqrt(4.0 * np.pi / sphere.area))
 
 
 def frustum(height: float, bottom: float, top: float) -> Triangles:

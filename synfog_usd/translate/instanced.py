@@ -1,4 +1,4 @@
-"""Primvars of instances: what those around a leaf give it, one value an instance.
+"""Primvars of instances: values that a leaf inherits from the instances around it.
 
 Takes instances of a walk; gives values by name, and the kinds of instances that differ in them.
 """
@@ -13,24 +13,22 @@ from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.primvars import Given, constant, flattened, value_at
+from synfog_usd.translate.primvars import PrimvarValue, constant, flattened, value_at
 from synfog_usd.translate.walk import GroupInstance
 
 MOST_KINDS = 4096
-"""Kinds of instances of one prototype that differ in what their materials read."""
+"""Most kinds of instances of one prototype, which differ in what their materials read."""
 
 MOST_TRIANGLES = 4_000_000
-"""Triangles that the kinds of one prototype may have together: where instances are not written out, each kind has its
-own.
-"""
+"""Triangles that the kinds of one prototype may have together; each kind has its own."""
 
 FEWEST_KINDS = 16
-"""Kinds that any prototype may have."""
+"""Kinds that any prototype may have, however large."""
 
 
 @dataclass(frozen=True)
 class Around:
-    """What the instances around a leaf give it.
+    """Primvars that a leaf inherits from the instances around it.
 
     Attributes:
         root: path of the prototype.
@@ -38,7 +36,7 @@ class Around:
     """
 
     root: Sdf.Path
-    value: Callable[[str], Given | None]
+    value: Callable[[str], PrimvarValue | None]
 
 
 class Inherited:
@@ -46,9 +44,9 @@ class Inherited:
 
     def __init__(self, time: Usd.TimeCode) -> None:
         self.time = time
-        self._known: dict[tuple[Sdf.Path, str], tuple[Given, Sdf.Path] | None] = {}
+        self._values: dict[tuple[Sdf.Path, str], tuple[PrimvarValue, Sdf.Path] | None] = {}
 
-    def at(self, prim: Usd.Prim, name: str) -> tuple[Given, Sdf.Path] | None:
+    def at(self, prim: Usd.Prim, name: str) -> tuple[PrimvarValue, Sdf.Path] | None:
         """A primvar that a prim has or inherits, and where it stands; None where there is none.
 
         Values that are not constant are not inherited, and hide what is above them.
@@ -57,15 +55,15 @@ class Inherited:
         if not prim or prim.IsPseudoRoot():
             return None
         key = prim.GetPath(), name
-        if key not in self._known:
+        if key not in self._values:
             primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
             if not (primvar and primvar.HasAuthoredValue()):
-                self._known[key] = self.at(prim.GetParent(), name)
+                self._values[key] = self.at(prim.GetParent(), name)
             else:
                 is_constant = primvar.GetInterpolation() == UsdGeom.Tokens.constant
-                given = constant(primvar, self.time) if is_constant else None
-                self._known[key] = None if given is None else (given, key[0])
-        return self._known[key]
+                value = constant(primvar, self.time) if is_constant else None
+                self._values[key] = None if value is None else (value, key[0])
+        return self._values[key]
 
 
 class InstancePrimvars:
@@ -73,42 +71,42 @@ class InstancePrimvars:
 
     def __init__(self, time: Usd.TimeCode, notes: Diagnostics, inherited: Inherited) -> None:
         self.time, self.notes, self.inherited = time, notes, inherited
-        self._known: dict[tuple[Sdf.Path, str], Array | Given | None] = {}
+        self._values: dict[tuple[Sdf.Path, str], Array | PrimvarValue | None] = {}
 
-    def value(self, place: GroupInstance, name: str) -> Given | None:
-        """What an instance gives, or the one that it stands in."""
-        one: GroupInstance | None = place
-        while one is not None:
-            found = self._of(one.source, name)
-            if isinstance(found, Given):
-                return found
-            if found is not None:
-                return Given(tuple(found[one.number].tolist()))
-            one = one.outer
+    def value(self, place: GroupInstance, name: str) -> PrimvarValue | None:
+        """Value of a primvar on an instance, or on the one that it stands in."""
+        instance: GroupInstance | None = place
+        while instance is not None:
+            value = self._of(instance.source, name)
+            if isinstance(value, PrimvarValue):
+                return value
+            if value is not None:
+                return PrimvarValue(tuple(value[instance.number].tolist()))
+            instance = instance.outer
         return None
 
-    def _of(self, prim: Usd.Prim, name: str) -> Array | Given | None:
+    def _of(self, prim: Usd.Prim, name: str) -> Array | PrimvarValue | None:
         key = prim.GetPath(), name
-        if key not in self._known:
+        if key not in self._values:
             by_point = self._by_point(prim, name) if prim.GetTypeName() == "PointInstancer" else None
             if by_point is None:
                 above = self.inherited.at(prim, name)
                 by_point = above[0] if above is not None else None
-            self._known[key] = by_point
-        return self._known[key]
+            self._values[key] = by_point
+        return self._values[key]
 
-    def _by_point(self, prim: Usd.Prim, name: str) -> Array | Given | None:
+    def _by_point(self, prim: Usd.Prim, name: str) -> Array | PrimvarValue | None:
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
         if not (primvar and primvar.HasAuthoredValue()) or primvar.GetInterpolation() == UsdGeom.Tokens.constant:
             return None
         values = flattened(primvar, self.time)
         if values is None or isinstance(values, str):
-            return None if values is None else Given(values)
+            return None if values is None else PrimvarValue(values)
         which = value_at(UsdGeom.PointInstancer(prim).GetProtoIndicesAttr(), self.time)
         count = 0 if which is None else len(which)
         if primvar.GetInterpolation() == UsdGeom.Tokens.uniform and len(values) != count:
-            return Given(tuple(values[0].tolist()))
-        if len(values) == 3 * count and values.shape[1] == 1:  # plain numbers in the place of colours
+            return PrimvarValue(tuple(values[0].tolist()))
+        if len(values) == 3 * count and values.shape[1] == 1:  # plain numbers instead of colours
             values = values.reshape(-1, 3)
         if len(values) != count:
             self.notes.warn(
@@ -119,64 +117,65 @@ class InstancePrimvars:
 
     def kinds(
         self, places: Sequence[GroupInstance], names: Collection[str], most: int
-    ) -> list[tuple[dict[str, Given | None], Indices]]:
-        """What the instances of one prototype give by name, and the numbers of those that give the same.
+    ) -> list[tuple[dict[str, PrimvarValue | None], Indices]]:
+        """Kinds of instances of one prototype: their values by name, and the numbers of the instances.
 
         Args:
             places: N instances of one prototype.
             names: what its materials read.
-            most: kinds up to which they are told apart.  Of more, those that differ least are drawn in their mean.
+            most: kinds.  Of more, those that differ least are drawn in their mean.
         """
-        given = self._same(places, names)
-        if given is None:
-            given = [tuple([self.value(place, name) for name in names]) for place in places]
-        number = {one: row for row, one in enumerate(dict.fromkeys(given))}
-        kind_of = np.array([number[one] for one in given], dtype=np.int64)
+        values = self._same(places, names)
+        if values is None:
+            values = [tuple([self.value(place, name) for name in names]) for place in places]
+        number = {kind: row for row, kind in enumerate(dict.fromkeys(values))}
+        kind_of = np.array([number[kind] for kind in values], dtype=np.int64)
         kinds = list(number)
         if len(kinds) > most:
             kinds, kind_of = self._merged(kinds, kind_of, places[0], names, most)
         order = np.argsort(kind_of, kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(kind_of, minlength=len(kinds)))[:-1])
-        return [(dict(zip(names, one, strict=True)), rows) for one, rows in zip(kinds, parts, strict=True)]
+        return [(dict(zip(names, kind, strict=True)), rows) for kind, rows in zip(kinds, parts, strict=True)]
 
-    def _same(self, places: Sequence[GroupInstance], names: Collection[str]) -> list[tuple[Given | None, ...]] | None:
-        """What instances give, where all of one source give the same and none stands in another; else None."""
+    def _same(
+        self, places: Sequence[GroupInstance], names: Collection[str]
+    ) -> list[tuple[PrimvarValue | None, ...]] | None:
+        """Values of instances, where all of one source have the same and none stands in another; else None."""
         if [place for place in places if place.outer is not None]:
             return None
-        found: dict[Usd.Prim, tuple[Given | None, ...]] = {}
+        of_source: dict[Usd.Prim, tuple[PrimvarValue | None, ...]] = {}
         for source in {place.source for place in places}:
             values = [self._of(source, name) for name in names]
             if any(isinstance(value, np.ndarray) for value in values):
                 return None
-            found[source] = tuple(value for value in values if value is None or isinstance(value, Given))
-        return [found[place.source] for place in places]
+            of_source[source] = tuple(value for value in values if value is None or isinstance(value, PrimvarValue))
+        return [of_source[place.source] for place in places]
 
     def _merged(
         self,
-        kinds: list[tuple[Given | None, ...]],
+        kinds: list[tuple[PrimvarValue | None, ...]],
         kind_of: Indices,
         place: GroupInstance,
         names: Collection[str],
         most: int,
-    ) -> tuple[list[tuple[Given | None, ...]], Indices]:
+    ) -> tuple[list[tuple[PrimvarValue | None, ...]], Indices]:
         """At most so many kinds: those whose values lie in one cell of a grid are their mean."""
         sorts: dict[tuple[object, ...], list[int]] = {}
         for row, kind in enumerate(kinds):
-            sorts.setdefault(
-                tuple(one if one is None or isinstance(one.value, str) else len(one.value) for one in kind), []
-            ).append(row)
+            sort = tuple(value if value is None or isinstance(value.value, str) else len(value.value) for value in kind)
+            sorts.setdefault(sort, []).append(row)
         numbers = [np.array([_flat(kinds[row]) for row in rows]) for rows in sorts.values()]
         steps = 256
         while True:
             cells = [np.unique(_cells(some, steps), axis=0, return_inverse=True) for some in numbers]
-            if steps == 1 or sum(len(found) for found, _ in cells) <= most:
+            if steps == 1 or sum(len(cell) for cell, _ in cells) <= most:
                 break
             steps = steps * 3 // 4
-        merged: list[tuple[Given | None, ...]] = []
+        merged: list[tuple[PrimvarValue | None, ...]] = []
         onto, off = np.empty(len(kinds), dtype=np.int64), 0.0
-        for rows, some, (found, cell) in zip(sorts.values(), numbers, cells, strict=True):
+        for rows, some, (unique, cell) in zip(sorts.values(), numbers, cells, strict=True):
             cell = cell.reshape(-1)
-            count = np.bincount(cell, minlength=len(found))
+            count = np.bincount(cell, minlength=len(unique))
             means = np.stack([np.bincount(cell, some[:, k]) / count for k in range(some.shape[1])], axis=1)
             off = max(off, float(np.abs(means[cell] - some).max(initial=0.0)))
             onto[rows] = len(merged) + cell
@@ -189,20 +188,22 @@ class InstancePrimvars:
         return merged, onto[kind_of]
 
 
-def _flat(kind: tuple[Given | None, ...]) -> list[float]:
-    return [number for one in kind if one is not None and not isinstance(one.value, str) for number in one.value]
+def _flat(kind: tuple[PrimvarValue | None, ...]) -> list[float]:
+    return [
+        number for value in kind if value is not None and not isinstance(value.value, str) for number in value.value
+    ]
 
 
-def _like(kind: tuple[Given | None, ...], numbers: list[float]) -> tuple[Given | None, ...]:
+def _like(kind: tuple[PrimvarValue | None, ...], numbers: list[float]) -> tuple[PrimvarValue | None, ...]:
     """A kind with other numbers."""
-    found: list[Given | None] = []
-    for one in kind:
-        if one is None or isinstance(one.value, str):
-            found.append(one)
+    values: list[PrimvarValue | None] = []
+    for value in kind:
+        if value is None or isinstance(value.value, str):
+            values.append(value)
             continue
-        found.append(Given(tuple(numbers[: len(one.value)])))
-        numbers = numbers[len(one.value) :]
-    return tuple(found)
+        values.append(PrimvarValue(tuple(numbers[: len(value.value)])))
+        numbers = numbers[len(value.value) :]
+    return tuple(values)
 
 
 def _cells(values: Array, steps: int) -> Indices:

@@ -1,4 +1,4 @@
-"""Lanes that a stage tells of: guide curves with a type of lane, read into the scene's space."""
+"""Lanes of a stage: guide curves with a type of lane, read into the scene's space."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ TYPE = "synfog:lane:type"
 
 
 def lanes(
-    found: Sequence[tuple[Usd.Prim, Array]], space: Space, time: Usd.TimeCode, notes: Diagnostics
+    prims: Sequence[tuple[Usd.Prim, Array]], space: Space, time: Usd.TimeCode, notes: Diagnostics
 ) -> tuple[Lanelet, ...]:
-    """The lanes of curves with a type, each with its matrix to stage coordinates; what is no lane is told."""
-    made = []
-    for prim, matrix in found:
+    """The lanes of curves with a type; curves that are no lane get a note.
+
+    Args:
+        prims: curves, each with its matrix to stage coordinates.
+    """
+    lanelets = []
+    for prim, matrix in prims:
         curves = UsdGeom.BasisCurves(prim)
         counts = curves.GetCurveVertexCountsAttr().Get(time)
         points = np.asarray(curves.GetPointsAttr().Get(time) or (), dtype=np.float64).reshape(-1, 3)
@@ -35,6 +39,6 @@ def lanes(
         ):
             notes.warn(prim.GetPath(), f"{TYPE} is left out: a lane is a linear BasisCurves of two curves, its edges")
             continue
-        left, right = np.split(apply(space.matrix @ matrix, points), [int(counts[0])])
-        made.append(Lanelet(str(prim.GetPath()), str(prim.GetAttribute(TYPE).Get(time)), left, right))
-    return tuple(made)
+        edges = np.split(apply(space.matrix @ matrix, points), [int(counts[0])])
+        lanelets.append(Lanelet(str(prim.GetPath()), str(prim.GetAttribute(TYPE).Get(time)), *edges))
+    return tuple(lanelets)

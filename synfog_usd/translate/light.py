@@ -22,10 +22,12 @@ from synfog_usd.base.errors import StageError
 from synfog_usd.base.notes import Note
 from synfog_usd.scene import MANY_LIT, SceneDict, lit_kind
 from synfog_usd.stage import budget
+from synfog_usd.stage.lightinputs import LightInputs
 from synfog_usd.translate.convention import USD, Convention
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles, area, placed
 from synfog_usd.translate.implicit import ROUND, frustum, sphere_mesh
+from synfog_usd.translate.inputs import rgb
 from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
 from synfog_usd.translate.space import FAR, is_similarity, rotation_of, scaled
 from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
@@ -41,7 +43,7 @@ _SUN_DEG = 0.53
 """Width of the sun, which is UsdLux's own fallback."""
 
 MAX_NIT = 1e16
-"""Of what shines: ten million times the sun's disc.  Far above, sums of squares leave the range of single precision."""
+"""Highest luminance [cd m-2], ten million times the sun's disc; sums of squares of more leave single precision."""
 
 
 @dataclass
@@ -81,52 +83,25 @@ _SIZES = {
     "CylinderLight": ("length", "radius"),
     "DistantLight": ("angle",),
 }
-"""What says how large a light is."""
-
-
-class _LightInputs:
-    """Inputs of a light, also without the 'inputs:' of files before 21.02."""
-
-    def __init__(self, prim: Usd.Prim, time: Usd.TimeCode) -> None:
-        self.prim, self.time = prim, time
-        self.instead: dict[str, float] = {}
-
-    def sizes_below_0(self, names: tuple[str, ...], notes: Diagnostics) -> None:
-        """Take the amounts of sizes that are negative, with a note each."""
-        for name in names:
-            if (value := float(self.get(name, 0.0))) < 0.0:
-                self.instead[name] = -value
-                notes.warn(self.prim.GetPath(), f"inputs:{name} is {value:g}, which is no size; {-value:g} is taken")
-
-    def get(self, name: str, default: Any) -> Any:
-        if name in self.instead:
-            return self.instead[name]
-        for full_name in (f"inputs:{name}", name):
-            attribute = self.prim.GetAttribute(full_name)
-            if attribute and attribute.HasAuthoredValue():
-                value = attribute.Get(self.time)
-                value = attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
-                if value is not None:
-                    return value
-        return default
+"""Inputs for the size of a light."""
 
 
 def emitted(
     prim: Usd.Prim, time: Usd.TimeCode, *, default_intensity: float = 1.0, convention: Convention = USD
 ) -> Array:
     """(3,) RGB of color x intensity x 2^exposure x blackbody tint, before any normalization."""
-    inputs = _LightInputs(prim, time)
-    color = np.array([float(c) for c in inputs.get("color", (1.0, 1.0, 1.0))])
-    if inputs.get("enableColorTemperature", False):
-        kelvin = float(inputs.get("colorTemperature", 6500.0))
+    inputs = LightInputs(prim, time)
+    color = np.array(inputs.numbers("color", (1.0, 1.0, 1.0)))
+    if inputs.flag("enableColorTemperature"):
+        kelvin = inputs.number("colorTemperature", 6500.0)
         if not math.isfinite(kelvin):  # the library's table ends the process at NaN
             return np.full(3, np.nan)
         if not (convention.plain_6500 and kelvin == 6500.0):
             color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin))
-    exposure = float(inputs.get("exposure", 0.0))
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then, the caller tells
+    exposure = inputs.number("exposure", 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller notes a result that is not finite
         stops = np.exp2(exposure) if exposure != -math.inf else math.nan
-        return color * (float(inputs.get("intensity", default_intensity)) * stops)
+        return color * (inputs.number("intensity", default_intensity) * stops)
 
 
 def lamp(
@@ -147,21 +122,21 @@ def lamp(
         convention: how its numbers are meant.
     """
     path = prim.GetPath()
-    inputs = _LightInputs(prim, time)
+    inputs = LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     radiance = emitted(prim, time, default_intensity=50000.0 if kind == "DistantLight" else 1.0, convention=convention)
     if not _shines(radiance, path, notes):
         return None
     radiance = np.maximum(radiance, 0.0)
-    inputs.sizes_below_0(_SIZES.get(kind, ()), notes)
-    normalize = bool(inputs.get("normalize", False))
+    inputs.turn_positive(_SIZES.get(kind, ()), notes.warn)
+    normalize = inputs.flag("normalize")
     if kind == "DistantLight":
-        angle = float(inputs.get("angle", _SUN_DEG)) * convention.sun_angle
+        angle = inputs.number("angle", _SUN_DEG) * convention.sun_angle
         return _distant(radiance * convention.sun, angle, normalize or convention.sun_normalized, matrix, path, notes)
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         notes.warn(path, "light scaled to nothing is left out")
         return None
-    if not all(abs(float(inputs.get(name, 1.0))) <= FAR for name in ("radius", "width", "height", "length")):
+    if not all(abs(inputs.number(name, 1.0)) <= FAR for name in ("radius", "width", "height", "length")):
         notes.warn(path, "light whose size is no finite number, or of more than 10 digits, is left out")
         return None
     if convention.square_metres:
@@ -198,15 +173,13 @@ def mesh_light(
     convention: Convention = USD,
 ) -> Array:
     """(3,) radiance [cd m-2] of a mesh with MeshLightAPI, of a given area [m2]."""
-    inputs = _LightInputs(prim, time)
+    inputs = LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     radiance = emitted(prim, time, convention=convention)
     radiance = np.maximum(radiance, 0.0) if _shines(radiance, prim.GetPath(), notes) else np.zeros(3)
     if convention.square_metres:
         metres_per_unit = 1.0
-    return (
-        radiance * metres_per_unit**2 / surface_m2 if inputs.get("normalize", False) and surface_m2 > 0.0 else radiance
-    )
+    return radiance * metres_per_unit**2 / surface_m2 if inputs.flag("normalize") and surface_m2 > 0.0 else radiance
 
 
 def dome(
@@ -218,7 +191,7 @@ def dome(
     axis or Z instead.
     """
     path = str(prim.GetPath())
-    inputs = _LightInputs(prim, time)
+    inputs = LightInputs(prim, time)
     _unsupported(prim, inputs, notes)
     tint = emitted(prim, time)
     if not _shines(tint, path, notes):
@@ -227,11 +200,10 @@ def dome(
     refuse_blinding(path, tint)
     turn = rotation_of(matrix)
     if kind == "DomeLight_1":
-        pole = notes.token(path, "poleAxis", inputs.get("poleAxis", "scene"), ("scene", "Y", "Z"), "scene")
+        pole = notes.token(path, "poleAxis", inputs.word("poleAxis", "scene"), ("scene", "Y", "Z"), "scene")
         if pole == "Z" or (pole == "scene" and z_up):
             turn = turn @ POLE_TO_Z
-    asset = inputs.get("texture:file", None)
-    file, authored = getattr(asset, "resolvedPath", "") or "", getattr(asset, "path", "") or ""
+    authored, file = inputs.file("texture:file")
     if not authored:
         return Dome(path, tint.astype(np.float32), turn)
     pixels = images.read(file, path) if file else None
@@ -244,7 +216,7 @@ def dome(
     values = linear(pixels, srgb=is_srgb(node, pixels))
     values = np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3]
     values = np.maximum(values * tint.astype(np.float32), 0.0)
-    layout = str(inputs.get("texture:format", "automatic"))
+    layout = inputs.word("texture:format", "automatic")
     if layout not in ("automatic", "latlong"):
         notes.warn(path, f"texture format {layout!r} is not known; the light has the mean colour of the picture")
         return Dome(path, values.mean(axis=(0, 1)), turn)
@@ -254,52 +226,23 @@ def dome(
 
 
 def merged_dome(domes: list[Dome], notes: Diagnostics) -> dict[str, Any] | None:
-    """One emitter for all domes, which add up; several maps are drawn in the frame of the largest."""
+    """One emitter for all domes, which add up; the largest map is drawn, others as their mean colour."""
     if not domes:
         return None
-    constant = sum((d.radiance for d in domes if d.radiance.ndim == 1), start=np.zeros(3, dtype=np.float32))
-    maps = sorted((d for d in domes if d.radiance.ndim == 3), key=lambda d: d.radiance.size, reverse=True)
+    maps = sorted(
+        (dome for dome in domes if dome.radiance.ndim == 3), key=lambda dome: dome.radiance.size, reverse=True
+    )
+    constant = sum((dome.radiance for dome in domes if dome.radiance.ndim == 1), start=np.zeros(3, dtype=np.float32))
     if len(domes) > 1:
         notes.info(domes[0].path, f"{len(domes)} dome lights are added up")
     if not maps:
-        return {"type": "constant", "radiance": _rgb(constant)}
-    first = maps[0]
-    pixels = first.radiance + constant
-    for other in maps[1:]:
-        pixels = pixels + turned(
-            other.radiance, first.to_world[:3, :3], other.to_world[:3, :3], first.radiance.shape[:2]
-        )
-    return {"type": "envmap", "bitmap": np.ascontiguousarray(pixels, dtype=np.float32), "to_world": first.to_world}
-
-
-def turned(
-    pixels: npt.NDArray[np.float32], wanted: Array, given: Array, size: tuple[int, ...]
-) -> npt.NDArray[np.float32]:
-    """A latitude-longitude map in another frame, (H, W) = size, between texels by bilinear interpolation.
-
-    Args:
-        wanted, given: (3, 3) rotations of the frame asked for and of the map's own.
-    """
-    height, width = size
-    azimuth, polar = 2.0 * np.pi * (np.arange(width) + 0.5) / width, np.pi * (np.arange(height)[:, None] + 0.5) / height
-    way = np.stack(
-        [
-            np.sin(polar) * np.sin(azimuth),
-            np.broadcast_to(np.cos(polar), (height, width)),
-            -np.sin(polar) * np.cos(azimuth),
-        ],
-        axis=-1,
-    )
-    local = way @ (given.T @ wanted).T
-    x = np.arctan2(local[..., 0], -local[..., 2]) / (2.0 * np.pi) * pixels.shape[1] - 0.5
-    y = np.arccos(np.clip(local[..., 1], -1.0, 1.0)) / np.pi * pixels.shape[0] - 0.5
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    u, v = (x - left)[..., None], (y - top)[..., None]
-    rows = [np.clip(top + k, 0, pixels.shape[0] - 1) for k in (0, 1)]
-    columns = [(left + k) % pixels.shape[1] for k in (0, 1)]
-    above = (1.0 - u) * pixels[rows[0], columns[0]] + u * pixels[rows[0], columns[1]]
-    below = (1.0 - u) * pixels[rows[1], columns[0]] + u * pixels[rows[1], columns[1]]
-    return np.asarray((1.0 - v) * above + v * below, dtype=np.float32)
+        return {"type": "constant", "radiance": rgb(constant)}
+    for dome in maps[1:]:
+        notes.warn(dome.path, f"a second map of the sky is drawn as its mean colour, beside that of {maps[0].path}")
+        rows = np.sin(np.pi * (np.arange(len(dome.radiance)) + 0.5) / len(dome.radiance))
+        constant = constant + np.average(dome.radiance.mean(axis=1), axis=0, weights=rows)
+    pixels = np.ascontiguousarray(maps[0].radiance + constant, dtype=np.float32)
+    return {"type": "envmap", "bitmap": pixels, "to_world": maps[0].to_world}
 
 
 def refuse_blinding(path: object, light: Array | npt.NDArray[np.float32]) -> None:
@@ -337,7 +280,7 @@ def refuse_many(path: object, number: int) -> None:
         )
 
 
-def told_of_crowd(scene: SceneDict) -> SceneDict:
+def with_note_on_crowd(scene: SceneDict) -> SceneDict:
     """The scene, with a note where its lit surfaces are so many that those alike are drawn as one.
 
     Raises:
@@ -359,16 +302,16 @@ def told_of_crowd(scene: SceneDict) -> SceneDict:
         )
     if len(shining) <= MANY_LIT:
         return scene
-    said = (
+    text = (
         f"{budget.amount(len(shining))} lit surfaces are more than {MANY_LIT}: far ones that shine alike are drawn "
         f"together, balls and disks in a few dozen faces of the same area"
     )
-    return replace(scene, notes=(*scene.notes, Note("info", "", said)))
+    return replace(scene, notes=(*scene.notes, Note("info", "", text)))
 
 
 def area_emitter(radiance: Array) -> dict[str, Any]:
     """A surface that shines with one radiance [cd m-2] in all directions of its front."""
-    return {"type": "area", "radiance": _rgb(radiance)}
+    return {"type": "area", "radiance": rgb(radiance)}
 
 
 def _distant(
@@ -386,7 +329,7 @@ def _distant(
             path, f"a distant light {angle_deg:g} degrees wide is drawn as a point at infinity: its shadows are sharp"
         )
     return Lamp(
-        {"type": "directional", "irradiance": _rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf
+        {"type": "directional", "irradiance": rgb(irradiance), "to_world": rotation_of(matrix) @ TURN}, math.inf
     )
 
 
@@ -397,15 +340,15 @@ def _shaped(
     path: object,
     notes: Diagnostics,
     *,
-    seen: Callable[[Array], Array] = as_ball,
+    extent: Callable[[Array], Array] = as_ball,
 ) -> Lamp | None:
     """A lamp at a point, which far from its surface it is, with a table of its light.
 
     Args:
-        intensity: (3,) along a direction in which `seen` is 1, without shaping [cd].
-        seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
+        intensity: (3,) along a direction in which `extent` is 1, without shaping [cd].
+        extent: of the surface in directions (..., 3) of the light's own frame, as a share of its largest.
     """
-    table = table_of(shaping, seen)
+    table = table_of(shaping, extent)
     flux = float(luminous_flux(table @ (LUMINANCE * intensity)))
     if not flux > 0.0:
         notes.warn(path, "a light whose shaping leaves nothing of it is dark")
@@ -414,7 +357,7 @@ def _shaped(
     to_world = rotation_of(matrix) @ TURN
     to_world[:3, 3] = matrix[:3, 3]
     bitmap = np.ascontiguousarray(table if tinted else table[..., 0], dtype=np.float32)
-    return Lamp({"type": "photometric", "intensity": _rgb(intensity), "bitmap": bitmap, "to_world": to_world}, flux)
+    return Lamp({"type": "photometric", "intensity": rgb(intensity), "bitmap": bitmap, "to_world": to_world}, flux)
 
 
 def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
@@ -429,7 +372,7 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
     place[:3, 3] = matrix[:3, 3]
     emitter = {
         "type": "spot",
-        "intensity": _rgb(intensity),
+        "intensity": rgb(intensity),
         "cutoff_angle": cone[0],
         "beam_width": cone[1],
         "to_world": place,
@@ -438,12 +381,12 @@ def _spot(intensity: Array, cone: tuple[float, float], matrix: Array) -> Lamp:
 
 
 def _sphere(
-    inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
+    inputs: LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
 ) -> Lamp | None:
-    radius = float(inputs.get("radius", 0.5))
+    radius = inputs.number("radius", 0.5)
     mean_scale = abs(float(np.linalg.det(matrix[:3, :3]))) ** (1.0 / 3.0)
     shaping = read_shaping(inputs, path, notes)
-    if radius <= 0.0 or inputs.get("treatAsPoint", False):
+    if radius <= 0.0 or inputs.flag("treatAsPoint"):
         if radius <= 0.0 and not per_area:
             notes.warn(
                 path,
@@ -458,14 +401,18 @@ def _sphere(
             intensity = radiance * math.pi * (radius * mean_scale) ** 2
         if shaping is not None:
             return _shaped(intensity, shaping, matrix, path, notes)
-        emitter = {"type": "point", "intensity": _rgb(intensity), "position": [float(x) for x in matrix[:3, 3]]}
+        emitter = {"type": "point", "intensity": rgb(intensity), "position": [float(x) for x in matrix[:3, 3]]}
         return Lamp(emitter, 4.0 * math.pi * float(LUMINANCE @ intensity))
     if is_similarity(matrix):
         surface = 4.0 * math.pi * (radius * mean_scale) ** 2
-        shape: Any = {"type": "sphere", "center": [float(x) for x in matrix[:3, 3]], "radius": radius * mean_scale}
+        shape: dict[str, Any] | Triangles = {
+            "type": "sphere",
+            "center": [float(x) for x in matrix[:3, 3]],
+            "radius": radius * mean_scale,
+        }
     else:
-        shape = placed(sphere_mesh(radius), matrix)
-        surface = area(shape)
+        triangles = placed(sphere_mesh(radius), matrix)
+        shape, surface = triangles, area(triangles)
     L = radiance * per_area / surface if per_area else radiance
     if shaping is not None:
         return _shaped(L * math.pi * (radius * mean_scale) ** 2, shaping, matrix, path, notes)
@@ -473,7 +420,7 @@ def _sphere(
 
 
 def _flat(
-    inputs: _LightInputs,
+    inputs: LightInputs,
     kind: str,
     radiance: Array,
     per_area: float,
@@ -487,15 +434,11 @@ def _flat(
     """
     picture = None
     if kind == "RectLight":
-        half_x, half_y, unit_area, native = (
-            float(inputs.get("width", 1.0)) / 2.0,
-            float(inputs.get("height", 1.0)) / 2.0,
-            4.0,
-            "rectangle",
-        )
+        half_x, half_y = inputs.number("width", 1.0) / 2.0, inputs.number("height", 1.0) / 2.0
+        unit_area, native = 4.0, "rectangle"
         picture = _picture(inputs, path, notes, images)
     else:
-        half_x = half_y = float(inputs.get("radius", 0.5))
+        half_x = half_y = inputs.number("radius", 0.5)
         unit_area, native = math.pi, "disk"
     place = matrix @ TURN @ scaled(half_x, half_y, 1.0)
     surface = unit_area * float(np.linalg.norm(np.cross(place[:3, 0], place[:3, 1])))
@@ -517,7 +460,7 @@ def _flat(
         if simple and shaping.cone is not None:
             return _spot(L * surface, shaping.cone, matrix)
         mean = L if picture is None else L * picture.reshape(-1, 3).mean(axis=0)
-        return _shaped(mean * surface, shaping, matrix, path, notes, seen=as_card)
+        return _shaped(mean * surface, shaping, matrix, path, notes, extent=as_card)
     if picture is not None:
         radiance_map = np.ascontiguousarray(
             (picture * L)[::-1], dtype=np.float32
@@ -533,12 +476,11 @@ def _flat(
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
 
 
-def _picture(inputs: _LightInputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
+def _picture(inputs: LightInputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
     """(H, W, 3) linear factors of the picture on a light, or None where there is none."""
-    asset = inputs.get("texture:file", None)
-    if not (authored := getattr(asset, "path", "")):
+    authored, file = inputs.file("texture:file")
+    if not authored:
         return None
-    file = getattr(asset, "resolvedPath", "") or ""
     pixels = images.read(file, str(path)) if file else None
     if pixels is None:
         notes.warn(
@@ -551,11 +493,11 @@ def _picture(inputs: _LightInputs, path: object, notes: Diagnostics, images: Ima
 
 
 def _cylinder(
-    inputs: _LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
+    inputs: LightInputs, radiance: Array, per_area: float, matrix: Array, path: object, notes: Diagnostics
 ) -> Lamp | None:
     """A cylinder along X that shines from its side, not from its ends."""
-    length, radius = float(inputs.get("length", 1.0)), float(inputs.get("radius", 0.5))
-    if inputs.get("treatAsLine", False) or radius <= 0.0 or length <= 0.0:
+    length, radius = inputs.number("length", 1.0), inputs.number("radius", 0.5)
+    if inputs.flag("treatAsLine") or radius <= 0.0 or length <= 0.0:
         notes.warn(path, "a cylinder light without thickness is drawn 1 mm thick")
         radius, length = max(radius, 0.001), max(length, 0.001)
     side = _side(length, radius)
@@ -570,7 +512,7 @@ def _cylinder(
     if shaping is not None:
         notes.info(path, "the shaped CylinderLight is drawn at its centre")
         return _shaped(
-            L * surface / math.pi, shaping, matrix, path, notes, seen=as_tube
+            L * surface / math.pi, shaping, matrix, path, notes, extent=as_tube
         )  # broadside a tube shows 2 r l of its side 2 pi r l
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), shape)
 
@@ -578,24 +520,24 @@ def _cylinder(
 def _side(length: float, radius: float) -> Triangles:
     """The side of a cylinder along X, of `ROUND` segments that keep its area."""
     fit = math.pi / (ROUND * math.sin(math.pi / ROUND))  # chord of a segment -> its arc
-    made = frustum(length, radius * fit, radius * fit)
-    assert made.normals is not None
-    flat = np.abs(made.normals[made.faces[:, 0], 2]) < 0.5
+    whole = frustum(length, radius * fit, radius * fit)
+    assert whole.normals is not None
+    side = np.abs(whole.normals[whole.faces[:, 0], 2]) < 0.5
     turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return Triangles(made.positions @ turn.T, made.faces[flat], made.normals @ turn.T)
+    return Triangles(whole.positions @ turn.T, whole.faces[side], whole.normals @ turn.T)
 
 
-def _unsupported(prim: Usd.Prim, inputs: _LightInputs, notes: Diagnostics) -> None:
+def _unsupported(prim: Usd.Prim, inputs: LightInputs, notes: Diagnostics) -> None:
     path = prim.GetPath()
     for name in ("diffuse", "specular"):
-        if float(inputs.get(name, 1.0)) != 1.0:
+        if inputs.number(name, 1.0) != 1.0:
             notes.warn(path, f"the multiplier inputs:{name} is not drawn; light is the same for all surfaces")
-    if not inputs.get("shadow:enable", True):
+    if not inputs.flag("shadow:enable", default=True):
         notes.warn(path, "a light without shadows is drawn with them")
     if prim.HasRelationship("light:filters") and prim.GetRelationship("light:filters").GetTargets():
         notes.warn(path, "light filters are not drawn")
-    if any(float(c) > 0.0 for c in inputs.get("shadow:color", (0.0, 0.0, 0.0))) or any(
-        float(inputs.get(f"shadow:{n}", -1.0)) > 0.0 for n in ("distance", "falloff")
+    if any(c > 0.0 for c in inputs.numbers("shadow:color", (0.0, 0.0, 0.0))) or any(
+        inputs.number(f"shadow:{name}", -1.0) > 0.0 for name in ("distance", "falloff")
     ):
         notes.warn(
             path, "the colour, reach and falloff of shadows are not drawn; a shadow is what light does not reach"
@@ -605,10 +547,6 @@ def _unsupported(prim: Usd.Prim, inputs: _LightInputs, notes: Diagnostics) -> No
         excluded = prim.GetRelationship(f"collection:{name}:excludes")
         if (root and root.HasAuthoredValue() and not root.Get()) or (excluded and excluded.GetTargets()):
             notes.warn(path, f"{name} is not drawn; the light reaches everything")
-
-
-def _rgb(value: Any) -> dict[str, Any]:
-    return {"type": "rgb", "value": [float(c) for c in value]}
 
 
 def is_light_mesh(prim: Usd.Prim) -> bool:

@@ -1,4 +1,4 @@
-"""Light groups: which lamps can be dimmed together after the fact.
+"""Light groups: lamps that can be dimmed together after rendering.
 
 Takes prims and Cityscapes labels; gives 'sky', 'headlights' (all lamps of vehicles),
 'street_lamps', 'other', or whatever name an author gave.
@@ -7,7 +7,8 @@ Takes prims and Cityscapes labels; gives 'sky', 'headlights' (all lamps of vehic
 from __future__ import annotations
 
 import re
-from typing import Any
+
+from pxr import Usd
 
 from synfog_usd.base.errors import StageError
 
@@ -20,8 +21,8 @@ MOST = 16
 SKY, HEADLIGHTS, STREET_LAMPS, OTHER = "sky", "headlights", "street_lamps", "other"
 
 
-def authored_group(prim: Any) -> str | None:
-    """The group that stands on a prim or its nearest ancestor, or None.
+def authored_group(prim: Usd.Prim) -> str | None:
+    """The group that is authored on a prim or its nearest ancestor, or None.
 
     Raises:
         StageError: a name that cannot be one.
@@ -34,7 +35,7 @@ def authored_group(prim: Any) -> str | None:
     return None
 
 
-def _checked(prim: Any, name: Any) -> str:
+def _checked(prim: Usd.Prim, name: object) -> str:
     """The name, which becomes part of channel names in an EXR file."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name):
         raise StageError(

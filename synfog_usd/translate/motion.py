@@ -13,16 +13,16 @@ from pxr import Sdf, Usd, UsdGeom
 from synfog_usd.base.arrays import Array
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import is_finite
-from synfog_usd.translate.pose import told_velocity
+from synfog_usd.translate.pose import authored_velocity
 from synfog_usd.translate.space import FAR, Space, columns
 
 MOMENTS = 33
-"""Places of a moving prim that are kept; between two of them it goes straight.  A wheel that turns once in the exposure
-leaves its circle by 0.5 % of its radius.
+"""Places of a moving prim in an exposure, with straight ways between: a wheel that turns once leaves its circle by half
+a percent of its radius.
 """
 
 STILL_M = 1e-6
-"""Way of a metre's corner below which a prim counts as standing."""
+"""Way [m] below which a prim counts as standing, of the corner of a cube of 1 m."""
 
 _POINT = re.compile(r"([^\[]+)\[(\d+)\]")
 _MOVING = (
@@ -36,8 +36,8 @@ def velocity_above(prim: Usd.Prim, now: UsdGeom.XformCache, notes: Diagnostics) 
     second; None for none, and for one that stands.
     """
     while prim and not prim.IsPseudoRoot():
-        if (found := told_velocity(prim, now, notes)) is not None:
-            return found if found.any() else None
+        if (velocity := authored_velocity(prim, now, notes)) is not None:
+            return velocity if velocity.any() else None
         prim = prim.GetParent()
     return None
 
@@ -50,10 +50,10 @@ class Mover:
         space: of the scene.
         time: the middle of the exposure.
         half: frames from there to its end; 0 where nothing is to move.
-        notes: where a motion that is no number is told.
+        notes: for a motion that is no number.
 
     Attributes:
-        moving: paths that move, as they were asked for.
+        moving: paths that move.
     """
 
     def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float, notes: Diagnostics) -> None:
@@ -63,10 +63,10 @@ class Mover:
             return
         self._middle = time
         self._times = [Usd.TimeCode(time.GetValue() + half * way) for way in np.linspace(-1.0, 1.0, MOMENTS)]
-        self._caches = [UsdGeom.XformCache(one) for one in (time, *self._times)]
+        self._caches = [UsdGeom.XformCache(moment) for moment in (time, *self._times)]
         self._varies: dict[Sdf.Path, bool] = {}
         self._points: dict[str, Array | None] = {}
-        self._known: dict[str, Array | None] = {}
+        self._motions: dict[str, Array | None] = {}
 
     def of(self, path: str) -> Array | None:
         """(1, MOMENTS, 4, 4) from the place in mid-exposure to those of the exposure's even steps, or None.
@@ -78,12 +78,12 @@ class Mover:
             return None
         point = _POINT.match(path)
         key = point.group(0) if point else path
-        if key not in self._known:
+        if key not in self._motions:
             places = self._placed(point.group(1), int(point.group(2))) if point else self._standing(path)
-            self._known[key] = None if places is None else self._relative(places)
-        if self._known[key] is not None:
+            self._motions[key] = None if places is None else self._relative(places)
+        if self._motions[key] is not None:
             self.moving[path] = None
-        return self._known[key]
+        return self._motions[key]
 
     def _prim(self, path: str) -> Usd.Prim | None:
         prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
@@ -103,17 +103,17 @@ class Mover:
         velocity = velocity_above(prim, self._caches[0], self._notes)
         if velocity is None:
             return None
-        seconds = np.array([0.0, *(one.GetValue() - self._middle.GetValue() for one in self._times)])
-        found = np.tile(columns(self._caches[0].GetLocalToWorldTransform(prim)), (1 + MOMENTS, 1, 1))
-        found[:, :3, 3] += np.outer(seconds / self._stage.GetTimeCodesPerSecond(), velocity)
-        return found
+        seconds = np.array([0.0, *(moment.GetValue() - self._middle.GetValue() for moment in self._times)])
+        places = np.tile(columns(self._caches[0].GetLocalToWorldTransform(prim)), (1 + MOMENTS, 1, 1))
+        places[:, :3, 3] += np.outer(seconds / self._stage.GetTimeCodesPerSecond(), velocity)
+        return places
 
     def _placed(self, path: str, number: int) -> Array | None:
         """The same of a point of an instancer."""
         if path not in self._points:
             self._points[path] = self._of_points(path)
-        found = self._points[path]
-        return None if found is None or number >= found.shape[1] else found[:, number]
+        places = self._points[path]
+        return None if places is None or number >= places.shape[1] else places[:, number]
 
     def _of_points(self, path: str) -> Array | None:
         prim = self._prim(path)
@@ -122,31 +122,35 @@ class Mover:
         instancer = UsdGeom.PointInstancer(prim)
         attributes = [prim.GetAttribute(name) for name in _MOVING]
         alive = any(
-            one and (one.ValueMightBeTimeVarying() or ("elocities" in one.GetName() and one.HasAuthoredValue()))
-            for one in attributes
+            attribute
+            and (
+                attribute.ValueMightBeTimeVarying()
+                or ("elocities" in attribute.GetName() and attribute.HasAuthoredValue())
+            )
+            for attribute in attributes
         )
         if not alive and not self._vary(prim):
             return None
         for attribute in attributes:
             if attribute and not is_finite(attribute.Get(self._middle)):
                 self._notes.warn(path, f"{attribute.GetName()} has numbers that are not finite; those instances stand")
-        found = []
+        steps = []
         for cache, time in zip(self._caches, (self._middle, *self._times), strict=True):
             inner = instancer.ComputeInstanceTransformsAtTime(
                 time, self._middle, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
             )
             matrices = np.array(inner, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
-            with np.errstate(invalid="ignore"):  # what is not finite stands
-                found.append(columns(cache.GetLocalToWorldTransform(prim)) @ matrices)
-        return np.stack(found) if len({len(one) for one in found}) == 1 else None
+            with np.errstate(invalid="ignore"):  # points that are not finite stand
+                steps.append(columns(cache.GetLocalToWorldTransform(prim)) @ matrices)
+        return np.stack(steps) if len({len(step) for step in steps}) == 1 else None
 
     def _vary(self, prim: Usd.Prim) -> bool:
         """Whether a prim or one above it has a transform that may vary."""
         path = prim.GetPath()
         if path not in self._varies:
             parent = prim.GetParent()
-            own = bool(UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
-            self._varies[path] = own or bool(parent and not parent.IsPseudoRoot() and self._vary(parent))
+            varies = bool(UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
+            self._varies[path] = varies or bool(parent and not parent.IsPseudoRoot() and self._vary(parent))
         return self._varies[path]
 
     def _relative(self, places: Array) -> Array | None:

@@ -1,39 +1,40 @@
 """Shader networks of other dialects: MaterialX images, OmniPBR's own textures.
 
-Takes shader prims; gives texture nodes.  What MaterialX nodes make
-of a picture on its way is worked out in `nodes`.
+Takes shader prims; gives texture nodes.  MaterialX nodes between a picture and a material are
+evaluated in `nodes`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdShade
+from pxr import Sdf, Usd, UsdShade
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.nodes import IMAGES, MOST_PIXELS, Graph, UnknownNodeError
-from synfog_usd.translate.texture import (
-    RAW,
-    ImageReader,
-    TextureNode,
-    UvSource,
-    as_measured,
+from synfog_usd.translate.shader import (
+    file_of,
+    flag_of,
+    number_of,
     numbers_in,
+    numbers_of,
     producer,
     shader_id,
-    texture_node,
-    tiled,
     value_of,
+    word_of,
 )
+from synfog_usd.translate.texture import RAW, ImageReader, TextureNode, UvSource, as_measured, texture_node, tiled
 
 _ADDRESS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror", "constant": "black"}
 _CHANNELS = {"outr": "r", "outx": "r", "outg": "g", "outy": "g", "outb": "b", "outz": "b", "outa": "a", "outw": "a"}
 _STEPS = 12
+"""Shaders that are followed one after the other."""
+
+_ONES, _ZEROS = (1.0,) * 4, (0.0,) * 4
 
 
 def fed_by(
@@ -48,25 +49,26 @@ def fed_by(
     """The picture or constant behind a shader output, or None with a note where there is none that is known.
 
     A picture that comes straight, or by its channels alone, stays as its file has it;
-    one that other nodes change is worked out.
+    one that other nodes change is evaluated pixel by pixel.
 
     Args:
-        of_shape: from the output of a reader to what a primvar of the shape gives.
+        of_shape: from the output of a reader to the numbers of the shape's primvar.
     """
-    channel, strength = "", None
+    channel = ""
+    strength: tuple[float, ...] | None = None
     start = output
     for _ in range(_STEPS):
         prim, kind = output.GetPrim(), shader_id(output.GetPrim())
         node = UsdShade.Shader(prim)
-        found = _picture(output, kind, time, notes)
-        if found is not None:
-            return _decoded(replace(found, channel=channel) if channel else found, strength)
+        picture = _picture(output, kind, time, notes)
+        if picture is not None:
+            return _decoded(replace(picture, channel=channel) if channel else picture, strength)
         if kind.startswith("ND_separate"):
             channel = _CHANNELS.get(output.GetBaseName(), "r")
         elif kind.startswith("ND_extract"):
-            channel = "rgba"[min(max(int(value_of(node, "index", time, 0)), 0), 3)]
+            channel = "rgba"[min(max(int(number_of(node, "index", time, 0.0)), 0), 3)]
         elif kind.startswith("ND_normalmap"):
-            strength = 1.0 if (given := value_of(node, "scale", time)) is None else numbers_in(given) or 1.0
+            strength = numbers_in(value_of(node, "scale", time)) or (1.0,)
         elif not kind.startswith(("ND_convert", "ND_dot")):
             break
         following = producer(node, "in")
@@ -75,8 +77,8 @@ def fed_by(
         output = following
         if strength is not None and kind.startswith("ND_normalmap"):
             start = output
-    graph = Graph(time, images, lambda one, kind: _picture(one, kind, time, notes), of_shape)
-    return _worked_out(graph, start, name, notes, shader, strength)
+    graph = Graph(time, images, lambda image, kind: _picture(image, kind, time, notes), of_shape)
+    return _evaluated(graph, start, name, notes, shader, strength)
 
 
 def _picture(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode | None:
@@ -85,25 +87,30 @@ def _picture(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagno
     return _image(output, kind.removesuffix("_1_0"), time, notes) if kind.startswith(IMAGES) else None
 
 
-def _decoded(node: TextureNode, strength: Any) -> TextureNode:
+def _decoded(node: TextureNode, strength: tuple[float, ...] | None) -> TextureNode:
     """A picture of normals as directions, their slopes times `strength`; any other where that is None."""
     if strength is None:
         return node
-    u, v = (strength * 2)[:2] if isinstance(strength, tuple) else (float(strength),) * 2
+    u, v = (strength * 2)[:2]
     return replace(node, scale=(2.0 * u, 2.0 * v, 2.0, 1.0), bias=(-u, -v, -1.0, 0.0))
 
 
-def _worked_out(
-    graph: Graph, output: Usd.Attribute, name: str, notes: Diagnostics, shader: Sdf.Path, strength: Any
+def _evaluated(
+    graph: Graph,
+    output: Usd.Attribute,
+    name: str,
+    notes: Diagnostics,
+    shader: Sdf.Path,
+    strength: tuple[float, ...] | None,
 ) -> TextureNode | None:
-    """What nodes make of pictures and constants; where one of them is not known, the first picture behind them."""
+    """The result of nodes on pictures and constants; where one of them is not known, the first picture behind them."""
     try:
         value = graph.value(output)
     except UnknownNodeError as unknown:
         return _passed_through(output, name, graph.time, notes, shader, str(unknown), strength)
     if value.means:
         notes.warn(shader, f"{name} is fed by {', '.join(sorted(value.means))}, which is drawn as its mean")
-    if value.others:
+    if value.elsewhere:
         notes.warn(shader, f"{name} is fed by pictures with different coordinates; all but the first are their mean")
     pixels = value.pixels
     if value.picture is None or pixels.shape[:2] == (1, 1):
@@ -111,15 +118,12 @@ def _worked_out(
         four = mean[:4] if len(mean) == 4 else [*(mean * 3 if len(mean) == 1 else [*mean, 0.0, 0.0])[:3], 1.0]
         return TextureNode(str(shader), "", "", "rgb", "raw", "repeat", _ONES, _ZEROS, tuple(four), None)
     key = f"{output.GetPath()} of {output.GetPrim().GetStage().GetRootLayer().identifier}"
-    spread: Any = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
-    graph.images.keep(key, np.ascontiguousarray(spread))
-    made = replace(
+    colors = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+    graph.images.keep(key, np.ascontiguousarray(colors))
+    node = replace(
         value.picture, file=key, authored=key, channel="rgb", color_space="raw", scale=_ONES, bias=_ZEROS, tiles=()
     )
-    return _decoded(made, strength)
-
-
-_ONES, _ZEROS = (1.0,) * 4, (0.0,) * 4
+    return _decoded(node, strength)
 
 
 def _passed_through(
@@ -129,14 +133,14 @@ def _passed_through(
     notes: Diagnostics,
     shader: Sdf.Path,
     passed: str,
-    strength: Any,
+    strength: tuple[float, ...] | None,
 ) -> TextureNode | None:
     """The first picture behind nodes that are not known, which are left out."""
     for _ in range(_STEPS):
-        found = _picture(output, shader_id(output.GetPrim()), time, notes)
-        if found is not None:
+        picture = _picture(output, shader_id(output.GetPrim()), time, notes)
+        if picture is not None:
             notes.warn(shader, f"{name} is fed through {passed}, which is left out")
-            return _decoded(found, strength)
+            return _decoded(picture, strength)
         node = UsdShade.Shader(output.GetPrim())
         following = next(
             (upstream for source in node.GetInputs() if (upstream := producer(node, source.GetBaseName())) is not None),
@@ -152,8 +156,7 @@ def _passed_through(
 def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnostics) -> TextureNode:
     """A MaterialX image node; one of glTF's is multiplied by its factor, or holds normals."""
     shader = UsdShade.Shader(output.GetPrim())
-    path, asset = str(shader.GetPath()), value_of(shader, "file", time)
-    authored, file = getattr(asset, "path", "") or "", getattr(asset, "resolvedPath", "") or ""
+    path, (authored, file) = str(shader.GetPath()), file_of(shader, "file", time)
     source = shader.GetInput("file")
     producers = UsdShade.Utils.GetValueProducingAttributes(source) if source else []
     space = next((attribute.GetColorSpace() for attribute in producers if attribute.HasColorSpace()), "")
@@ -168,9 +171,9 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         notes.warn(path, f"a picture in colour space {space[:40]!r} is read as linear Rec.709")
 
     def address(name: str) -> str:
-        return _ADDRESS[notes.token(path, name, value_of(shader, name, time, "periodic"), _ADDRESS, "periodic")]
+        return _ADDRESS[notes.token(path, name, word_of(shader, name, time, "periodic"), _ADDRESS, "periodic")]
 
-    made = TextureNode(
+    node = TextureNode(
         path=path,
         file=file,
         authored=authored,
@@ -188,18 +191,18 @@ def _image(output: Usd.Attribute, kind: str, time: Usd.TimeCode, notes: Diagnost
         tiles=tiles,
     )
     if kind == "ND_gltf_normalmap_vector3":
-        return _decoded(made, 1.0)
-    return replace(made, scale=_factor(shader, time)) if kind.startswith("ND_gltf") else made
+        return _decoded(node, (1.0,))
+    return replace(node, scale=_factor(shader, time)) if kind.startswith("ND_gltf") else node
 
 
 def _factor(shader: UsdShade.Shader, time: Usd.TimeCode) -> tuple[float, ...]:
-    """(4,) by which one of glTF's images is multiplied."""
+    """(4,) factors on one of glTF's images."""
     times = np.ones(4)
     for name in ("factor", "color", "geomcolor"):
-        given = np.array(numbers_in(value_of(shader, name, time)) or (1.0,))[:4]
-        times[: len(given)] *= given
-        if len(given) == 1:
-            times[1:3] *= given
+        numbers = np.array(numbers_in(value_of(shader, name, time)) or (1.0,))[:4]
+        times[: len(numbers)] *= numbers
+        if len(numbers) == 1:
+            times[1:3] *= numbers
     return tuple(times.tolist())
 
 
@@ -217,23 +220,23 @@ def _coordinates(shader: UsdShade.Shader, kind: str, time: Usd.TimeCode, notes: 
         matrix = _placed(
             _pair(shader, "pivot", time, (0.0, 1.0)),
             stretch,
-            -float(value_of(shader, "rotate", time, 0.0)),
+            -number_of(shader, "rotate", time, 0.0),
             (-shift[0], shift[1]),
-            offset_first=bool(value_of(shader, "operationorder", time, 0)),
+            offset_first=flag_of(shader, "operationorder", time),
         )
     if kind.startswith("ND_tiledimage"):
-        tiling, offset = value_of(shader, "uvtiling", time, (1.0, 1.0)), value_of(shader, "uvoffset", time, (0.0, 0.0))
-        matrix = _affine((float(tiling[0]), float(tiling[1])), shift=(-float(offset[0]), -float(offset[1])))
+        tiling, offset = _pair(shader, "uvtiling", time, 1.0), _pair(shader, "uvoffset", time, 0.0)
+        matrix = _affine(tiling, shift=(-offset[0], -offset[1]))
     output, primvar = producer(shader, "texcoord"), "st"
     for _ in range(_STEPS):
         if output is None:
             break
         node, kind = UsdShade.Shader(output.GetPrim()), shader_id(output.GetPrim())
         if kind.startswith("ND_geompropvalue"):
-            primvar = str(value_of(node, "geomprop", time, "st"))
+            primvar = word_of(node, "geomprop", time, "st")
             break
         if kind.startswith(("UsdPrimvarReader", "ND_UsdPrimvarReader")):
-            primvar = str(value_of(node, "varname", time, "st"))
+            primvar = word_of(node, "varname", time, "st")
             break
         if kind.startswith("ND_texcoord"):
             break
@@ -253,9 +256,9 @@ def _affine(scale: tuple[float, float], *, shift: tuple[float, float] = (0.0, 0.
     """(3, 3) that scales, then turns clockwise as MaterialX's rotate2d does, then shifts."""
     angle = np.radians(degrees)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    made = np.eye(3)
-    made[:2, :2], made[:2, 2] = turn @ np.diag(scale), shift
-    return made
+    matrix = np.eye(3)
+    matrix[:2, :2], matrix[:2, 2] = turn @ np.diag(scale), shift
+    return matrix
 
 
 def _placed(
@@ -290,21 +293,21 @@ def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array |
         return _placed(
             _pair(node, "pivot", time, 0.0),
             (1.0 / sx if sx else 0.0, 1.0 / sy if sy else 0.0),
-            float(value_of(node, "rotate", time, 0.0)),
+            number_of(node, "rotate", time, 0.0),
             _pair(node, "offset", time, 0.0),
-            offset_first=bool(value_of(node, "operationorder", time, 0)),
+            offset_first=flag_of(node, "operationorder", time),
         ), "texcoord"
     if kind.startswith("ND_rotate2d"):
-        return _affine((1.0, 1.0), degrees=float(value_of(node, "amount", time, 0.0))), "in"
+        return _affine((1.0, 1.0), degrees=number_of(node, "amount", time, 0.0)), "in"
     category = kind.removeprefix("ND_").split("_")[0]
     if category in ("add", "subtract", "multiply", "divide") and kind.split("_")[-1].startswith("vector2"):
         first = "in1" if producer(node, "in1") is not None else "in2"
         if first == "in2" and category in ("subtract", "divide"):
             return None, ""
-        other = "in2" if first == "in1" else "in1"
-        if producer(node, other) is not None:
+        second = "in2" if first == "in1" else "in1"
+        if producer(node, second) is not None:
             return None, ""
-        x, y = _pair(node, other, time, 1.0 if category in ("multiply", "divide") else 0.0)
+        x, y = _pair(node, second, time, 1.0 if category in ("multiply", "divide") else 0.0)
         if category == "multiply":
             return _affine((x, y)), first
         if category == "divide":
@@ -317,81 +320,101 @@ def _step(node: UsdShade.Shader, kind: str, time: Usd.TimeCode) -> tuple[Array |
 # -- OmniPBR -------------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _OmniPicture:
+    """A picture of an OmniPBR shader: what of it counts, and how its values become the input's."""
+
+    authored: str
+    file: str
+    channel: str = "rgb"
+    space: str = "auto"
+    scale: tuple[float, ...] = _ONES
+    bias: tuple[float, ...] = _ZEROS
+
+
 def omni_texture(
     shader: UsdShade.Shader, name: str, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader
 ) -> TextureNode | None:
     """The picture that an OmniPBR shader names for one of a preview surface's inputs, or None."""
-
-    def asset(word: str) -> Any:
-        value = value_of(shader, word, time)
-        return value if getattr(value, "path", "") else None
-
-    def number(word: str, default: float) -> float:
-        return float(value_of(shader, word, time, default))
-
-    orm = asset("ORM_texture") if number("enable_ORM_texture", 0.0) else None
-    found, channel, space, scale, bias = None, "rgb", "auto", _ONES, _ZEROS
-    if name == "diffuseColor":
-        found = asset("diffuse_texture")
-        tint = [float(c) for c in value_of(shader, "diffuse_tint", time, Gf.Vec3f(1, 1, 1))]
-        times, more = number("albedo_brightness", 1.0), number("albedo_add", 0.0)
-        scale, bias = (*(times * c for c in tint), 1.0), (*(more * c for c in tint), 0.0)
-    elif name in ("roughness", "metallic"):
-        word, constant, default, orm_channel = {
-            "roughness": ("reflection_roughness", "reflection_roughness_constant", 0.5, "g"),
-            "metallic": ("metallic", "metallic_constant", 0.0, "b"),
-        }[name]
-        own = asset("reflectionroughness_texture" if name == "roughness" else "metallic_texture")
-        weight = number(f"{word}_texture_influence", 1.0 if orm else 0.0)
-        found, channel, space = (orm, orm_channel, "raw") if orm else (own, "r", "raw")
-        if weight <= 0.0:
-            return None
-        scale, bias = (weight,) * 4, ((1.0 - weight) * number(constant, default),) * 4
-    elif name == "opacity" and number("enable_opacity", 0.0) and number("enable_opacity_texture", 0.0):
-        found, channel, space = asset("opacity_texture"), "r", "raw"
-    elif name == "emissiveColor":
-        found = asset("emissive_mask_texture")
-        light = value_of(shader, "emissive_color", time, Gf.Vec3f(1.0, 0.1, 0.1))
-        scale = (*(number("emissive_intensity", 40.0) * float(c) for c in light), 1.0)
-    elif name == "normal":
-        found, space = asset("normalmap_texture"), "raw"
-        slope = number("bump_factor", 1.0)
-        scale, bias = (2.0 * slope, 2.0 * slope, 2.0, 1.0), (-slope, -slope, -1.0, 0.0)
-    if found is None:
+    picture = _omni_picture(shader, name, time)
+    if picture is None or not picture.authored:
         return None
-    if not found.resolvedPath:
-        notes.warn(shader.GetPath(), f"texture {found.path} is not found; the constant is used")
+    if not picture.file:
+        notes.warn(shader.GetPath(), f"texture {picture.authored} is not found; the constant is used")
         return None
-    if number("texture_rotate", 0.0):
+    if number_of(shader, "texture_rotate", time, 0.0):
         notes.warn(shader.GetPath(), "texture_rotate is not drawn")
-    stretch, shift = (
-        value_of(shader, "texture_scale", time, (1.0, 1.0)),
-        value_of(shader, "texture_translate", time, (0.0, 0.0)),
-    )
+    stretch = numbers_of(shader, "texture_scale", time, (1.0, 1.0))
+    shift = numbers_of(shader, "texture_translate", time, (0.0, 0.0))
     node = TextureNode(
         path=str(shader.GetPath()),
-        file=found.resolvedPath,
-        authored=found.path,
-        channel=channel,
-        color_space=space,
+        file=picture.file,
+        authored=picture.authored,
+        channel=picture.channel,
+        color_space=picture.space,
         wrap="repeat",
-        scale=scale,
-        bias=bias,
+        scale=picture.scale,
+        bias=picture.bias,
         fallback=(0.0, 0.0, 0.0, 1.0),
-        uv=UvSource("st", ((float(stretch[0]), 0.0, float(shift[0])), (0.0, float(stretch[1]), float(shift[1])))),
+        uv=UvSource("st", ((stretch[0], 0.0, shift[0]), (0.0, stretch[1], shift[1]))),
     )
-    grey = number("albedo_desaturation", 0.0) if name == "diffuseColor" else 0.0
-    return _desaturated(node, grey, [float(c) for c in tint], images) if grey else node
+    grey = number_of(shader, "albedo_desaturation", time, 0.0) if name == "diffuseColor" else 0.0
+    if not grey:
+        return node
+    return _desaturated(node, grey, numbers_of(shader, "diffuse_tint", time, (1.0, 1.0, 1.0)), images)
 
 
-def _desaturated(node: TextureNode, share: float, tint: list[float], images: ImageReader) -> TextureNode:
+def _omni_picture(shader: UsdShade.Shader, name: str, time: Usd.TimeCode) -> _OmniPicture | None:
+    """The picture for one input, or None; its file is '' where it was not found."""
+
+    def number(word: str, default: float) -> float:
+        return number_of(shader, word, time, default)
+
+    if name == "diffuseColor":
+        tint = numbers_of(shader, "diffuse_tint", time, (1.0, 1.0, 1.0))
+        times, more = number("albedo_brightness", 1.0), number("albedo_add", 0.0)
+        scale, bias = (*(times * c for c in tint), 1.0), (*(more * c for c in tint), 0.0)
+        return _OmniPicture(*file_of(shader, "diffuse_texture", time), scale=scale, bias=bias)
+    if name in ("roughness", "metallic"):
+        return _omni_share(shader, name, time)
+    if name == "opacity" and number("enable_opacity", 0.0) and number("enable_opacity_texture", 0.0):
+        return _OmniPicture(*file_of(shader, "opacity_texture", time), "r", "raw")
+    if name == "emissiveColor":
+        light = numbers_of(shader, "emissive_color", time, (1.0, 0.1, 0.1))
+        scale = (*(number("emissive_intensity", 40.0) * c for c in light), 1.0)
+        return _OmniPicture(*file_of(shader, "emissive_mask_texture", time), scale=scale)
+    if name == "normal":
+        slope = number("bump_factor", 1.0)
+        scale, bias = (2.0 * slope, 2.0 * slope, 2.0, 1.0), (-slope, -slope, -1.0, 0.0)
+        return _OmniPicture(*file_of(shader, "normalmap_texture", time), space="raw", scale=scale, bias=bias)
+    return None
+
+
+def _omni_share(shader: UsdShade.Shader, name: str, time: Usd.TimeCode) -> _OmniPicture | None:
+    """The picture of roughness or metalness, mixed with its constant; None where the constant alone counts."""
+    word, texture, default, orm_channel = {
+        "roughness": ("reflection_roughness", "reflectionroughness_texture", 0.5, "g"),
+        "metallic": ("metallic", "metallic_texture", 0.0, "b"),
+    }[name]
+    orm = ("", "")
+    if number_of(shader, "enable_ORM_texture", time, 0.0):
+        orm = file_of(shader, "ORM_texture", time)
+    weight = number_of(shader, f"{word}_texture_influence", time, 1.0 if orm[0] else 0.0)
+    if weight <= 0.0:
+        return None
+    files, channel = (orm, orm_channel) if orm[0] else (file_of(shader, texture, time), "r")
+    rest = (1.0 - weight) * number_of(shader, f"{word}_constant", time, default)
+    return _OmniPicture(*files, channel, "raw", (weight,) * 4, (rest,) * 4)
+
+
+def _desaturated(node: TextureNode, share: float, tint: tuple[float, ...], images: ImageReader) -> TextureNode:
     """A picture of which a share is grey of the same luminance, before its tint."""
     pixels = as_measured(replace(node, scale=_ONES, bias=_ZEROS), images, MOST_PIXELS)[..., :3]
     ratio = [node.scale[k] / tint[k] if tint[k] else 0.0 for k in range(3)]
     more = [node.bias[k] / tint[k] if tint[k] else 0.0 for k in range(3)]
     bright = pixels * np.array(ratio, dtype=np.float32) + np.array(more, dtype=np.float32)
     grey = (bright @ LUMINANCE.astype(np.float32))[..., None]
-    made = (bright + np.float32(share) * (grey - bright)) * np.array(tint, dtype=np.float32)
+    tinted = (bright + np.float32(share) * (grey - bright)) * np.array(tint, dtype=np.float32)
     key = f"{node.file} for {node.path}"
-    images.keep(key, np.ascontiguousarray(made, dtype=np.float32))
+    images.keep(key, np.ascontiguousarray(tinted, dtype=np.float32))
     return replace(node, file=key, color_space="raw", scale=_ONES, bias=_ZEROS)

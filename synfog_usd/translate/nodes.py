@@ -1,4 +1,4 @@
-"""MaterialX nodes between a picture and a material, worked out pixel by pixel.
+"""MaterialX nodes between a picture and a material, evaluated pixel by pixel.
 
 Takes a shader output; gives a constant or a picture.  What varies in space without a picture, such as noise and ramps,
 is its mean, and is named.
@@ -14,16 +14,8 @@ import numpy as np
 from pxr import Usd, UsdShade
 
 from synfog_usd.base.arrays import Array, FloatArray
-from synfog_usd.translate.texture import (
-    ImageReader,
-    TextureNode,
-    as_measured,
-    numbers_in,
-    producer,
-    resized,
-    shader_id,
-    value_of,
-)
+from synfog_usd.translate.shader import number_of, numbers_in, producer, shader_id, value_of, word_of
+from synfog_usd.translate.texture import ImageReader, TextureNode, as_measured, resized
 
 MOST_NODES = 2000
 """Nodes that one input may be fed by."""
@@ -41,24 +33,24 @@ ImageOf = Callable[[Usd.Attribute, str], TextureNode | None]
 
 
 class UnknownNodeError(Exception):
-    """A node that cannot be worked out, by its name."""
+    """A node that cannot be evaluated, by its name."""
 
 
 @dataclass
 class Value:
-    """What a node gives.
+    """Result of a node.
 
     Attributes:
         pixels: (H, W, C) float32; (1, 1, C) for a constant.
         picture: a texture node with the coordinates and wrap modes of the picture in it, or None.
         means: kinds of nodes that are drawn as their mean.
-        others: whether pictures with other coordinates went in too.
+        elsewhere: whether pictures with other coordinates went in too.
     """
 
     pixels: FloatArray
     picture: TextureNode | None = None
     means: set[str] = field(default_factory=set)
-    others: bool = False
+    elsewhere: bool = False
 
 
 def constant(*numbers: float) -> Value:
@@ -82,7 +74,7 @@ class Graph:
         of_shape: Callable[[Usd.Attribute], tuple[float, ...] | None],
     ) -> None:
         self.time, self.images, self.image_of, self.of_shape = time, images, image_of, of_shape
-        self.known: dict[str, Value] = {}
+        self.values: dict[str, Value] = {}
 
     def value(self, output: Usd.Attribute) -> Value:
         """What a shader output gives; nodes are followed without recursion.
@@ -90,16 +82,16 @@ class Graph:
         Raises:
             UnknownNodeError: of a kind that is not known, too many, or in a circle.
         """
-        waiting, opened = [output], set()
+        waiting, opened = [output], set[str]()
         while waiting:
             attribute = waiting[-1]
             path = str(attribute.GetPath())
-            if path in self.known:
+            if path in self.values:
                 waiting.pop()
                 continue
             shader, kind = UsdShade.Shader(attribute.GetPrim()), shader_id(attribute.GetPrim())
-            feeding = [one for name in self.reads(shader, kind) if (one := producer(shader, name)) is not None]
-            missing = [one for one in feeding if str(one.GetPath()) not in self.known]
+            sources = [producer(shader, name) for name in self.reads(shader, kind)]
+            missing = [source for source in sources if source and str(source.GetPath()) not in self.values]
             if missing:
                 if path in opened:
                     raise UnknownNodeError(f"{kind} in a circle")
@@ -108,9 +100,9 @@ class Graph:
                 opened.add(path)
                 waiting += missing
                 continue
-            self.known[path] = self.worked_out(shader, kind, attribute)
+            self.values[path] = self.evaluated(shader, kind, attribute)
             waiting.pop()
-        return self.known[str(output.GetPath())]
+        return self.values[str(output.GetPath())]
 
     @staticmethod
     def is_image(kind: str) -> bool:
@@ -123,25 +115,25 @@ class Graph:
         for table in (_NODES, _MEANS):
             if category in table:
                 return [name for name, _ in table[category][0]]
-        return (
-            [] if self.is_image(kind) or kind.startswith(READERS) else [one.GetBaseName() for one in shader.GetInputs()]
-        )
+        if self.is_image(kind) or kind.startswith(READERS):
+            return []
+        return [source.GetBaseName() for source in shader.GetInputs()]
 
-    def worked_out(self, shader: UsdShade.Shader, kind: str, output: Usd.Attribute) -> Value:
+    def evaluated(self, shader: UsdShade.Shader, kind: str, output: Usd.Attribute) -> Value:
         """What one node gives, where all that feeds it is known."""
         if self.is_image(kind):
             return self.picture(output, kind)
         if kind.startswith(READERS):
-            given_by_shape = self.of_shape(output)
-            if given_by_shape is None:
+            numbers = self.of_shape(output)
+            if numbers is None:
                 raise UnknownNodeError(kind)
-            return constant(*given_by_shape[: _CHANNELS.get(kind.split("_")[-1], 3)])
+            return constant(*numbers[: _CHANNELS.get(kind.split("_")[-1], 3)])
         category = kind.removeprefix("ND_").split("_")[0]
 
-        def given(name: str, *default: float) -> Value:
+        def argument(name: str, *default: float) -> Value:
             feeding = producer(shader, name)
             if feeding is not None:
-                return self.known[str(feeding.GetPath())]
+                return self.values[str(feeding.GetPath())]
             authored = value_of(shader, name, self.time)
             if authored is None:
                 return constant(*default)
@@ -152,28 +144,26 @@ class Graph:
 
         if category in _MEANS:
             inputs, mean = _MEANS[category]
-            made = _combined([given(name, *default) for name, default in inputs], mean)
-            made.means |= {category}
-            return made
+            value = _combined([argument(name, *default) for name, default in inputs], mean)
+            value.means |= {category}
+            return value
         if category in _NODES:
-            inputs, worked = _NODES[category]
-            return _combined([given(name, *default) for name, default in inputs], worked)
+            inputs, function = _NODES[category]
+            return _combined([argument(name, *default) for name, default in inputs], function)
         if category in ("dot", "convert", "separate2", "separate3", "separate4", "extract", "swizzle", "constant"):
-            value = given("value" if category == "constant" else "in", 0.0)
+            value = argument("value" if category == "constant" else "in", 0.0)
             return replaced(value, _chosen(value.pixels, category, kind, shader, output, self.time))
         if category.startswith("combine") and category[7:] in ("2", "3", "4"):
-            parts = [given(f"in{number}", 0.0) for number in range(1, int(category[7:]) + 1)]
+            parts = [argument(f"in{number}", 0.0) for number in range(1, int(category[7:]) + 1)]
             return _combined(parts, lambda *arrays: np.concatenate(arrays, axis=2), together=True)
         if category in ("ifgreater", "ifgreatereq", "ifequal"):
-            one, other, yes, no = (
-                given(*pair) for pair in (("value1", 1.0), ("value2", 0.0), ("in1", 0.0), ("in2", 0.0))
-            )
+            operands = [argument("value1", 1.0), argument("value2", 0.0), argument("in1", 0.0), argument("in2", 0.0)]
             compared = {"ifgreater": np.greater, "ifgreatereq": np.greater_equal, "ifequal": np.equal}[category]
-            return _combined([one, other, yes, no], lambda a, b, c, d: np.where(compared(a, b), c, d))
+            return _combined(operands, lambda a, b, yes, no: np.asarray(np.where(compared(a, b), yes, no)))
         if category == "switch":
-            which = given("which", 0.0)
+            which = argument("which", 0.0)
             number = int(np.clip(which.pixels.mean(), 0.0, 9.0)) + 1
-            return given(f"in{number}", 0.0)
+            return argument(f"in{number}", 0.0)
         raise UnknownNodeError(kind or "an unknown node")
 
     def picture(self, output: Usd.Attribute, kind: str) -> Value:
@@ -193,10 +183,10 @@ class Graph:
 
 def replaced(value: Value, pixels: FloatArray) -> Value:
     """The same picture with other pixels."""
-    return Value(pixels, value.picture, set(value.means), value.others)
+    return Value(pixels, value.picture, set(value.means), value.elsewhere)
 
 
-def _combined(values: list[Value], worked: Callable[..., Array], *, together: bool = False) -> Value:
+def _combined(values: list[Value], function: Callable[..., Array], *, together: bool = False) -> Value:
     """A function of several values, pixel by pixel; pictures that lie otherwise than the first one are their mean.
 
     Args:
@@ -204,7 +194,7 @@ def _combined(values: list[Value], worked: Callable[..., Array], *, together: bo
     """
     first = next((value.picture for value in values if value.picture is not None), None)
     means: set[str] = set().union(*[value.means for value in values])
-    others = any(value.others for value in values)
+    elsewhere = any(value.elsewhere for value in values)
     arrays, size = [], (1, 1)
     for value in values:
         pixels = value.pixels
@@ -212,7 +202,7 @@ def _combined(values: list[Value], worked: Callable[..., Array], *, together: bo
             if (value.picture.uv, value.picture.wrap, value.picture.wrap_v) == (first.uv, first.wrap, first.wrap_v):
                 size = (max(size[0], pixels.shape[0]), max(size[1], pixels.shape[1]))
             else:
-                pixels, others = pixels.mean(axis=(0, 1), keepdims=True), True
+                pixels, elsewhere = pixels.mean(axis=(0, 1), keepdims=True), True
         arrays.append(pixels)
     arrays = [resized(pixels, size) if pixels.shape[:2] not in ((1, 1), size) else pixels for pixels in arrays]
     if together:
@@ -220,32 +210,32 @@ def _combined(values: list[Value], worked: Callable[..., Array], *, together: bo
     elif len({pixels.shape[2] for pixels in arrays} - {1}) > 1:
         raise UnknownNodeError("a node whose inputs have different numbers of channels")
     with np.errstate(all="ignore"):
-        made = np.nan_to_num(np.asarray(worked(*arrays), dtype=np.float32), nan=0.0, posinf=1e30, neginf=-1e30)
-    return Value(made, first, means, others)
+        combined = np.nan_to_num(np.asarray(function(*arrays), dtype=np.float32), nan=0.0, posinf=1e30, neginf=-1e30)
+    return Value(combined, first, means, elsewhere)
 
 
 def _chosen(
     pixels: FloatArray, category: str, kind: str, shader: UsdShade.Shader, output: Usd.Attribute, time: Usd.TimeCode
 ) -> FloatArray:
     """Channels of a value, by the node that takes it apart or converts it."""
-    count = pixels.shape[2]
+    count: int = pixels.shape[2]
     if category.startswith("separate"):
         number = _OUTPUTS.get(str(output.GetBaseName()), 0)
         return pixels[..., min(number, count - 1)][..., None]
     if category == "extract":
-        return pixels[..., min(max(int(value_of(shader, "index", time, 0)), 0), count - 1)][..., None]
+        return pixels[..., min(max(int(number_of(shader, "index", time, 0.0)), 0), count - 1)][..., None]
     if category == "swizzle":
-        letters = str(value_of(shader, "channels", time, ""))[:4]
+        letters = word_of(shader, "channels", time, "")[:4]
         places = [_LETTERS.get(letter, 0) for letter in letters] or list(range(count))
         return np.concatenate([pixels[..., min(place, count - 1)][..., None] for place in places], axis=2)
     if category == "convert":
-        wanted = _CHANNELS.get(kind.split("_")[-1], count)
-        if count == 1 and wanted > 1:
-            spread = np.repeat(pixels, min(wanted, 3), axis=2)
-            return spread if wanted <= 3 else np.concatenate([spread, np.ones_like(pixels)], axis=2)
-        if wanted > count:
-            return np.concatenate([pixels, *[np.ones_like(pixels[..., :1])] * (wanted - count)], axis=2)
-        return pixels[..., :wanted]
+        channels = int(_CHANNELS.get(kind.split("_")[-1], count))
+        if count == 1 and channels > 1:
+            spread = np.repeat(pixels, min(channels, 3), axis=2)
+            return spread if channels <= 3 else np.concatenate([spread, np.ones_like(pixels)], axis=2)
+        if channels > count:
+            return np.concatenate([pixels, *[np.ones_like(pixels[..., :1])] * (channels - count)], axis=2)
+        return pixels[..., :channels]
     return pixels
 
 
@@ -261,10 +251,10 @@ def _remapped(x: Array, low: Array, high: Array, out_low: Array, out_high: Array
 
 
 def _ranged(x: Array, low: Array, high: Array, gamma: Array, out_low: Array, out_high: Array, clamp: Array) -> Array:
-    t = _remapped(x, low, high, np.float32(0.0), np.float32(1.0))
+    t = (x - low) / np.where(high == low, 1.0, high - low)
     t = np.sign(t) * np.abs(t) ** (1.0 / np.where(gamma == 0.0, 1.0, gamma))
-    made = out_low + t * (out_high - out_low)
-    return np.where(clamp > 0.0, np.clip(made, np.minimum(out_low, out_high), np.maximum(out_low, out_high)), made)
+    mapped = out_low + t * (out_high - out_low)
+    return np.where(clamp > 0.0, np.clip(mapped, np.minimum(out_low, out_high), np.maximum(out_low, out_high)), mapped)
 
 
 def _smooth_step(x: Array, low: Array, high: Array) -> Array:
@@ -272,9 +262,9 @@ def _smooth_step(x: Array, low: Array, high: Array) -> Array:
     return t * t * (3.0 - 2.0 * t)
 
 
-def _mixed(worked: Callable[[Array, Array], Array]) -> Callable[[Array, Array, Array], Array]:
+def _mixed(blend: Callable[[Array, Array], Array]) -> Callable[[Array, Array, Array], Array]:
     """A blend of a foreground over a background, as far as `mix` says."""
-    return lambda fg, bg, mix: mix * worked(fg, bg) + (1.0 - mix) * bg
+    return lambda fg, bg, mix: mix * blend(fg, bg) + (1.0 - mix) * bg
 
 
 def _luma(x: Array, weights: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Polygons as triangles, also concave ones.
+"""Triangulation of polygons, also of concave polygons.
 
 Takes points and faces; gives corner numbers.  Knows nothing of USD.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import mapbox_earcut
 import numpy as np
@@ -21,7 +20,7 @@ from synfog_usd.translate.geometry import cross
 def triangulate(
     points: Array, counts: Indices, starts: Indices, indices: Indices, keep: npt.NDArray[np.bool_]
 ) -> tuple[Indices, Indices, Indices]:
-    """Triangles of polygons, also concave ones.
+    """Triangles of polygons, also of concave polygons.
 
     Args:
         points: (N, 3).
@@ -30,10 +29,10 @@ def triangulate(
         keep: (F,) faces to take.
 
     Returns:
-        (M, 3) corner numbers in the order of the faces, (M,) the face of each, and the faces whose edges
-        cross each other, so that no triangles have just their area.
+        Corner numbers (M, 3) in the order of the faces, the face of each (M,), and the faces whose edges cross:
+        no triangles have just their area.
     """
-    found: list[tuple[Indices, Indices]] = []
+    parts: list[tuple[Indices, Indices]] = []
     tangled: list[Indices] = []
     sizes = [int(counts[0])] if counts.min() == counts.max() else np.unique(counts[keep])
     for n in sizes:
@@ -42,10 +41,10 @@ def triangulate(
         faces = np.flatnonzero(keep & (counts == n))
         corners = starts[faces][:, None] + np.arange(n)
         if n == 3:
-            found.append((corners, faces))
+            parts.append((corners, faces))
             continue
         if n == 4 and are_easy(points[indices[corners]]).all():
-            found.append((corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(faces, 2)))
+            parts.append((corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat(faces, 2)))
             continue
         polygons = points[indices[corners]]
         reflex = _turning(polygons) < 0.0
@@ -58,29 +57,28 @@ def triangulate(
             concave = reflex.any(axis=1) | ~_winds_once(polygons) | _balanced(polygons)
             fan, easy, hard = corners[~concave], faces[~concave], np.flatnonzero(concave)
         fans = np.stack([np.repeat(fan[:, :1], n - 2, axis=1), fan[:, 1:-1], fan[:, 2:]], axis=-1).reshape(-1, 3)
-        found.append((fans, np.repeat(easy, n - 2)))
+        parts.append((fans, np.repeat(easy, n - 2)))
         for number in hard:
             ears, whole = _ears(polygons[number])
-            found.append((corners[number][ears], np.full(len(ears), faces[number])))
+            parts.append((corners[number][ears], np.full(len(ears), faces[number])))
             if not whole:
                 tangled.append(faces[[number]])
     crossed = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *tangled]))
-    if not found:
+    if not parts:
         return np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64), crossed
-    if len(found) == 1:
-        return *found[0], crossed
-    triangles, face_of = np.concatenate([t for t, _ in found]), np.concatenate([f for _, f in found])
+    if len(parts) == 1:
+        return *parts[0], crossed
+    triangles, face_of = np.concatenate([t for t, _ in parts]), np.concatenate([f for _, f in parts])
     order = np.argsort(face_of, kind="stable")
     return triangles[order], face_of[order], crossed
 
 
 LONG = 2048
-"""Corners of an outline up to which its ears are cut: their time may go with the square of the corners, and beyond this
-is more than that of `_constrained`.
+"""Corners of an outline up to which its ears are cut, whose time may go with their square.
 """
 
 SMALL = 512
-"""Corners of a mesh up to which its topology is remembered: props come in many copies."""
+"""Corners of a mesh up to which its topology is remembered, for props in many copies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +207,9 @@ def _ears(polygon: Array) -> tuple[Indices, bool]:
     areas = _cross2(b - a, c - a)
     if (areas.sum() < 0.0) != flip:
         ears = ears[:, ::-1]
-    own = abs(_cross2(flat, np.roll(flat, -1, axis=0)).sum())
+    outline = abs(_cross2(flat, np.roll(flat, -1, axis=0)).sum())
     rounding = 1e-15 * len(flat) * np.abs(flat).max() ** 2
-    return ears, bool(abs(np.abs(areas).sum() - own) <= 1e-9 * own + rounding)
+    return ears, bool(abs(np.abs(areas).sum() - outline) <= 1e-9 * outline + rounding)
 
 
 def _cut(flat: Array) -> Indices:
@@ -228,16 +226,16 @@ def _cut(flat: Array) -> Indices:
 
 def _constrained(flat: Array) -> Indices:
     """Delaunay triangles within an outline (n, 2), (M, 3), in n log n; those of a fan where its edges cross."""
-    places, first, place = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-    edges = np.sort(np.stack([place.ravel(), np.roll(place.ravel(), -1)], axis=1), axis=1)
+    points, first, point = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+    edges = np.sort(np.stack([point.ravel(), np.roll(point.ravel(), -1)], axis=1), axis=1)
     edges, times = np.unique(edges, axis=0, return_counts=True)
     bounds = edges[(times % 2 == 1) & (edges[:, 0] != edges[:, 1])]  # there and back, as to a hole, bounds nothing
     mesh = pythoncdt.Triangulation(
         pythoncdt.VertexInsertionOrder.AUTO, pythoncdt.IntersectingConstraintEdges.NOT_ALLOWED, 0.0
     )
     try:
-        mesh.insert_vertices(np.ascontiguousarray(places))
-        mesh.insert_edges(np.ascontiguousarray(bounds.astype(np.uintc)))
+        mesh.insert_vertices(np.ascontiguousarray(points))  # type: ignore[call-overload] # takes any buffer
+        mesh.insert_edges(np.ascontiguousarray(bounds.astype(np.uintc)))  # type: ignore[call-overload]
     except RuntimeError:
         fan = np.arange(1, len(flat) - 1)
         return np.stack([np.zeros_like(fan), fan, fan + 1], axis=1)
@@ -245,5 +243,5 @@ def _constrained(flat: Array) -> Indices:
     return np.asarray(first[mesh.triangles_array()["vertices"]])
 
 
-def _cross2(u: Array, v: Array) -> Any:
-    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+def _cross2(u: Array, v: Array) -> Array:
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])

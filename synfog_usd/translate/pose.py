@@ -1,4 +1,4 @@
-"""Where a labelled prim stands and how fast it goes, as the stage tells it."""
+"""Place and velocity of labelled prims."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ VELOCITY = "physics:velocity"
 """UsdPhysicsRigidBodyAPI's attribute, in stage units per second and the axes of the prim's parent."""
 
 
-def told_velocity(prim: Usd.Prim, now: UsdGeom.XformCache, notes: Diagnostics) -> Array | None:
-    """(3,) velocity by a prim's own `physics:velocity`, in the stage's axes and units a second; None for none, and with
-    a note for one that is no number.
+def authored_velocity(prim: Usd.Prim, now: UsdGeom.XformCache, notes: Diagnostics) -> Array | None:
+    """(3,) velocity by a prim's own `physics:velocity`, in the stage's axes and units a second; None for none, with a
+    note where it is no number.
     """
-    authored = prim.GetAttribute(VELOCITY)
-    told = authored.Get(now.GetTime()) if authored and authored.HasAuthoredValue() else None
-    if told is None:
+    attribute = prim.GetAttribute(VELOCITY)
+    velocity = attribute.Get(now.GetTime()) if attribute and attribute.HasAuthoredValue() else None
+    if velocity is None:
         return None
-    if not np.isfinite(told).all():
-        notes.warn(prim.GetPath(), f"{VELOCITY} is {told}, no finite number; it is not taken")
+    if not np.isfinite(velocity).all():
+        notes.warn(prim.GetPath(), f"{VELOCITY} is {velocity}, no finite number; it is not taken")
         return None
-    return np.asarray(columns(now.GetParentToWorldTransform(prim))[:3, :3] @ np.array(told, dtype=np.float64))
+    return np.asarray(columns(now.GetParentToWorldTransform(prim))[:3, :3] @ np.array(velocity, dtype=np.float64))
 
 
 class Poser:
@@ -34,7 +34,7 @@ class Poser:
         stage: with its variants chosen.
         space: of the scene.
         time: the moment.
-        notes: where a velocity that is no number is told.
+        notes: for a velocity that is no number.
     """
 
     def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, notes: Diagnostics) -> None:
@@ -68,9 +68,9 @@ class Poser:
         return frame, self._velocity(prim)
 
     def _velocity(self, prim: Usd.Prim) -> tuple[float, float, float] | None:
-        told = told_velocity(prim, self._now, self._notes)
-        if told is not None:
-            return self._finite(self._to_scene[:3, :3] @ told)
+        velocity = authored_velocity(prim, self._now, self._notes)
+        if velocity is not None:
+            return self._finite(self._to_scene[:3, :3] @ velocity)
         if self._around is None:
             return None
         before, after = (columns(cache.GetLocalToWorldTransform(prim))[:3, 3] for cache in self._around)

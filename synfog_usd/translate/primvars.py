@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, Vt
 
 from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -27,7 +27,7 @@ class PrimvarReader:
     Args:
         prim: the mesh.
         time: of the frame.
-        notes: where what does not fit is told.
+        notes: for what does not fit.
         indices: (C,) point of each corner.
         corner_face: (C,) face of each corner.
         point_count: N.
@@ -50,23 +50,23 @@ class PrimvarReader:
         """Normals, unit or (0, 0, 0) where the author's has no length: primvars:normals before normals; None where
         there are none of use.
         """
-        found = self.primvar("normals", 3)
-        if found is None:
+        normals = self.primvar("normals", 3)
+        if normals is None:
             attribute = self.prim.GetAttribute("normals")
             values = value_at(attribute, self.time) if attribute.HasAuthoredValue() else None
             if values is not None and len(values):
-                found = self.spread("normals", values, UsdGeom.PointBased(self.prim).GetNormalsInterpolation(), None, 3)
-        if found is None:
+                interpolation = UsdGeom.PointBased(self.prim).GetNormalsInterpolation()
+                normals = self._spread("normals", values, interpolation, None, 3)
+        if normals is None:
             return None
-        lengths = np.linalg.norm(found.values, axis=1, keepdims=True)
+        lengths = np.linalg.norm(normals.values, axis=1, keepdims=True)
         good = np.isfinite(lengths) & (lengths > 1e-12)
         if not good.any():
             self.notes.warn(self.prim.GetPath(), "normals without length, or that are no finite numbers, are not used")
             return None
-        return Attribute(
-            found.values / lengths if good.all() else np.where(good, found.values, 0.0) / np.where(good, lengths, 1.0),
-            found.corner,
-        )
+        if good.all():
+            return Attribute(normals.values / lengths, normals.corner)
+        return Attribute(np.where(good, normals.values, 0.0) / np.where(good, lengths, 1.0), normals.corner)
 
     def primvar(self, name: str, width: int) -> Attribute | None:
         """A primvar of `width` numbers each, or None with a note where it does not fit."""
@@ -77,49 +77,41 @@ class PrimvarReader:
         if values is None:
             return None
         indices = value_at(primvar.GetIndicesAttr(), self.time) if primvar.IsIndexed() else None
-        return self.spread(name, values, primvar.GetInterpolation(), indices, width)
+        return self._spread(name, values, primvar.GetInterpolation(), indices, width)
 
-    def spread(self, name: str, values: Any, interpolation: str, indices: Any, width: int) -> Attribute | None:
+    def _spread(
+        self, name: str, values: Vt.Vec3fArray | Array | str, interpolation: str, indices: Vt.IntArray, width: int
+    ) -> Attribute | None:
         """Values by corner or by point, as their interpolation says."""
         interpolation = self.notes.token(
             self.prim.GetPath(), f"interpolation of primvar {name}", interpolation, _INTERPOLATIONS, "constant"
         )
         corner: Indices | None
-        if (
-            interpolation in (UsdGeom.Tokens.uniform, UsdGeom.Tokens.faceVarying)
-            and self.prim.GetTypeName() == "TetMesh"
-        ):
-            self.notes.warn(
-                self.prim.GetPath(),
-                f"primvar {name} goes with tetrahedra, of which only the outside is drawn; it is not used: make it "
-                f"'vertex'",
-            )
-            return None
         if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
-            corner, wanted = None, self.point_count
+            corner, least = None, self.point_count
         elif interpolation == UsdGeom.Tokens.faceVarying:
-            corner, wanted = np.arange(len(self.indices)), len(self.indices)
+            corner, least = np.arange(len(self.indices)), len(self.indices)
         elif interpolation == UsdGeom.Tokens.uniform:
-            corner, wanted = self.corner_face, int(self.corner_face[-1]) + 1
+            corner, least = self.corner_face, int(self.corner_face[-1]) + 1
         else:
-            corner, wanted = np.zeros(len(self.indices), dtype=np.int64), 1
-        array = None if isinstance(values, str) else columns_of(values, width, wanted)
+            corner, least = np.zeros(len(self.indices), dtype=np.int64), 1
+        array = None if isinstance(values, str) else columns_of(values, width, least)
         if array is None:
             self.notes.warn(self.prim.GetPath(), f"primvar {name} does not hold {width} numbers each; it is not used")
             return None
         if indices is not None:
             numbers = np.asarray(indices, dtype=np.int64)
-            fits = len(numbers) >= wanted and (not len(numbers) or (numbers.min() >= 0 and numbers.max() < len(array)))
+            fits = len(numbers) >= least and (not len(numbers) or (numbers.min() >= 0 and numbers.max() < len(array)))
             corner = numbers[self.indices if corner is None else corner] if fits else corner
         else:
-            fits = len(array) >= wanted
+            fits = len(array) >= least
         if not fits:
             self.notes.warn(
                 self.prim.GetPath(),
                 f"primvar {name} has too few values for its interpolation {interpolation!r}; it is not used",
             )
             return None
-        return Attribute(array[:wanted] if corner is None else array, corner, interpolation == UsdGeom.Tokens.varying)
+        return Attribute(array[:least] if corner is None else array, corner, interpolation == UsdGeom.Tokens.varying)
 
 
 def elements(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Array | str | None:
@@ -152,8 +144,8 @@ def flattened(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Array | str | Non
     values = elements(primvar, time)
     if values is None or isinstance(values, str) or not primvar.IsIndexed():
         return values
-    given = value_at(primvar.GetIndicesAttr(), time)
-    indices = np.asarray([] if given is None else given, dtype=np.int64)
+    authored = value_at(primvar.GetIndicesAttr(), time)
+    indices = np.asarray([] if authored is None else authored, dtype=np.int64)
     if not len(indices):
         return values
     if not 0 <= indices.min() <= indices.max() < len(values):
@@ -162,11 +154,11 @@ def flattened(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Array | str | Non
 
 
 @dataclass(frozen=True)
-class Given:
-    """What a primvar gives to a shape.
+class PrimvarValue:
+    """Value of a primvar on a shape.
 
     Attributes:
-        value: its numbers, in the mean where it varies; or the name of its type where that holds no numbers.
+        value: its numbers, in the mean where it varies; or the name of a type that holds no numbers.
         varies: whether it goes with the points, corners or faces of the shape.
     """
 
@@ -194,24 +186,24 @@ class Given:
     @property
     def colour(self) -> tuple[float, float, float] | None:
         """The colour that it is, grey of a number; None where it is none."""
-        if self.fault or len(self.value) not in (1, 3, 4):
+        if isinstance(self.value, str) or self.fault or len(self.value) not in (1, 3, 4):
             return None
         r, g, b = (self.value * 3)[:3] if len(self.value) == 1 else self.value[:3]
         return float(r), float(g), float(b)
 
 
-def constant(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> Given | None:
-    """What a constant primvar gives, None where it has no value."""
+def constant(primvar: UsdGeom.Primvar, time: Usd.TimeCode) -> PrimvarValue | None:
+    """Value of a constant primvar, None where it has none."""
     values = flattened(primvar, time)
     if values is None or isinstance(values, str):
-        return None if values is None else Given(values)
-    if values.shape == (3, 1):  # plain numbers in the place of a colour
+        return None if values is None else PrimvarValue(values)
+    if values.shape == (3, 1):  # plain numbers instead of a colour
         values = values.reshape(1, 3)
-    return Given(tuple(values[0].tolist()))
+    return PrimvarValue(tuple(values[0].tolist()))
 
 
-def columns_of(values: Any, width: int, wanted: int) -> Array | None:
-    """(K, width) of elements that are at least as wide, or of plain numbers: `wanted` greys of a colour, or groups of
+def columns_of(values: Vt.Vec3fArray | Array, width: int, count: int) -> Array | None:
+    """(K, width) of elements that are at least as wide, or of plain numbers: `count` greys of a colour, or groups of
     `width`; else None.
     """
     try:
@@ -223,7 +215,7 @@ def columns_of(values: Any, width: int, wanted: int) -> Array | None:
         return array[:, :width]
     if array.shape[1] != 1:
         return None
-    if len(array) % width == 0 and (width != 3 or len(array) == wanted * width):
+    if len(array) % width == 0 and (width != 3 or len(array) == count * width):
         return array.reshape(-1, width)
     return np.repeat(array, 3, axis=1) if width == 3 else None
 

@@ -1,4 +1,4 @@
-"""What a shader's inputs are called, by shading model, and what they are where a file leaves them out.
+"""Names of a shader's inputs by shading model, and their values where a file leaves them out.
 
 Every model is drawn as a preview surface: each of its inputs' names is given the name that the model has for it.
 """
@@ -13,20 +13,17 @@ GREY = (0.18, 0.18, 0.18)
 
 @dataclass(frozen=True)
 class InputNames:
-    """What the inputs of a preview surface are called elsewhere, and what they are where nothing is authored.
+    """Names that the inputs of a preview surface have in another model, and that model's defaults.
 
     Attributes:
         of: name of each input; '' where there is no such input.  Empty for a preview surface itself.
         weights: inputs by which another one is multiplied, and their defaults.
         switches: input without which another one does not count.
-        inverted: inputs that are 1 less what is meant.
         color, roughness, metallic, coat, coat_roughness, cutoff: defaults.
         tints: input by whose colour another constant is multiplied.
         glow: default of the emitted colour.
-        in_lux: input that is 0 where light is told as luminous exitance, not in nits; '' for always nits.
-        masks: input that is 1 where opacity counts by its threshold alone; '' where the threshold says so itself.
-        clear_roughness: of its glass, where that is not the surface's.
-        specular: weight of the reflection at which the index of refraction alone says.
+        masks: input that is 1 where opacity counts by its threshold alone; '' for a model without one.
+        specular: weight at which the index of refraction alone gives the reflection.
         below: default of the subsurface colour.
         left_out: inputs that are noted where they are not 0.
         white: colours that are noted where they are not white.
@@ -36,7 +33,6 @@ class InputNames:
     of: Mapping[str, str]
     weights: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     switches: Mapping[str, str] = field(default_factory=dict)
-    inverted: frozenset[str] = frozenset()
     color: tuple[float, float, float] = GREY
     roughness: float = 0.5
     metallic: float = 0.0
@@ -45,9 +41,7 @@ class InputNames:
     coat_roughness: float = 0.01
     tints: Mapping[str, str] = field(default_factory=dict)
     glow: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    in_lux: str = ""
     masks: str = ""
-    clear_roughness: float | None = None
     specular: float = 1.0
     below: tuple[float, float, float] = (1.0, 1.0, 1.0)
     left_out: tuple[str, ...] = ()
@@ -182,80 +176,9 @@ GLTF_PBR = InputNames(  # glTF 2.0 and its KHR_materials extensions, as Material
     left_out=("iridescence", "sheen_color", "clearcoat_normal", "anisotropy_strength", "dispersion"),
     white=("attenuation_color",),
 )
-DISNEY = InputNames(  # Disney's BSDF as MaterialX 1.39's disney_principled has it; its index is that of its glass alone
-    {
-        "diffuseColor": "baseColor",
-        "roughness": "roughness",
-        "metallic": "metallic",
-        "clearIor": "ior",
-        "clearcoat": "clearcoat",
-        "clearcoatRoughness": "clearcoatGloss",
-        "specularWeight": "specular",
-        "transmission": "specTrans",
-        "transmissionColor": "baseColor",
-        "subsurface": "subsurface",
-        "subsurfaceColor": "baseColor",
-    },
-    inverted=frozenset({"clearcoatRoughness"}),
-    color=(0.16, 0.16, 0.16),
-    coat_roughness=0.0,
-    specular=0.5,  # of a reflectivity of 8 percent
-    below=(0.16, 0.16, 0.16),
-    clear_roughness=0.0,
-    left_out=("anisotropic", "specularTint", "sheen"),
-)
 MATERIALX = {
     "ND_standard_surface": STANDARD_SURFACE,
     "ND_open_pbr": OPEN_PBR,
     "ND_gltf_pbr": GLTF_PBR,
-    "ND_disney": DISNEY,
 }
 """How a shader's id begins."""
-
-OMNI_SURFACES = ("OmniSurface", "OmniSurfaceBase", "OmniSurfaceLite", "OmniSurfaceLiteBase")
-OMNI_SURFACE = InputNames(  # OmniSurface.mdl and its kin
-    {
-        "diffuseColor": "diffuse_reflection_color",
-        "roughness": "specular_reflection_roughness",
-        "metallic": "metalness",
-        "ior": "specular_reflection_ior",
-        "emissiveColor": "emission_color",
-        "opacity": "geometry_opacity",
-        "opacityThreshold": "geometry_opacity_threshold",
-        "clearcoat": "coat_weight",
-        "clearcoatRoughness": "coat_roughness",
-        "normal": "geometry_normal",
-        "specularWeight": "specular_reflection_weight",
-        "specularTint": "specular_reflection_color",
-        "transmission": "specular_transmission_weight",
-        "transmissionColor": "specular_transmission_color",
-        "transmissionDepth": "specular_transmission_scattering_depth",
-        "thin": "thin_walled",
-        "subsurface": "subsurface_weight",
-        "subsurfaceColor": "subsurface_transmission_color",
-    },
-    weights={
-        "diffuseColor": {"diffuse_reflection_weight": 0.8},
-        "emissiveColor": {"emission_weight": 0.0, "emission_intensity": 1.0},
-    },
-    switches={
-        "opacity": "enable_opacity",
-        "transmission": "enable_specular_transmission",
-        "subsurface": "enable_diffuse_transmission",
-    },
-    color=(1.0, 1.0, 1.0),
-    roughness=0.2,
-    coat_roughness=0.1,
-    in_lux="emission_mode",
-    left_out=(
-        "diffuse_reflection_roughness",
-        "specular_reflection_anisotropy",
-        "specular_retro_reflection_weight",
-        "specular_transmission_dispersion_abbe",
-        "enable_thin_film",
-        "coat_affect_color",
-        "emission_use_temperature",
-        "geometry_displacement",
-    ),
-    white=("coat_color",),
-)

@@ -10,13 +10,13 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pxr import Ar, UsdLux
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import StageError
+from synfog_usd.stage.lightinputs import LightInputs
 from synfog_usd.translate import ies
 from synfog_usd.translate.diagnostics import Diagnostics
 
@@ -47,39 +47,38 @@ class Shaping:
         return self.profile is None and self.focus <= 0.0
 
 
-def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | None:
-    """What narrows a light, or None where it shines everywhere.
+def read_shaping(inputs: LightInputs, path: object, notes: Diagnostics) -> Shaping | None:
+    """The shaping of a light, or None where it shines everywhere.
 
     Source: UsdLux 25.05, ShapingAPI.
     """
     if not inputs.prim.HasAPI(UsdLux.ShapingAPI) and all(
-        inputs.get(f"shaping:{name}", None) is None for name in ("cone:angle", "ies:file", "focus")
+        inputs.value(f"shaping:{name}") is None for name in ("cone:angle", "ies:file", "focus")
     ):
         return None
 
     def number(name: str, default: float, low: float = -math.inf, high: float = math.inf) -> float:
-        value = float(inputs.get(f"shaping:{name}", default))
+        value = inputs.number(f"shaping:{name}", default)
         if not math.isfinite(value):
             notes.warn(path, f"shaping:{name} is {value:g}, which is no number; {default:g} is taken")
             return default
         if not low <= value <= high:
-            taken = min(max(value, low), high)
-            notes.warn(path, f"shaping:{name} is {value:g}, which is out of range; {taken:g} is taken")
-            return taken
+            limited = min(max(value, low), high)
+            notes.warn(path, f"shaping:{name} is {value:g}, which is out of range; {limited:g} is taken")
+            return limited
         return value
 
     cutoff = number("cone:angle", 90.0, low=0.0)
     softness = min(number("cone:softness", 0.0, low=0.0, high=1.0), 0.999)
     cone = None if not cutoff < 180.0 else (max(cutoff, 0.1), max(cutoff, 0.1) * (1.0 - softness))
     focus = number("focus", 0.0, low=0.0)
-    tint = inputs.get("shaping:focusTint", (0.0, 0.0, 0.0))
-    profile, asset = None, inputs.get("shaping:ies:file", None)
-    if authored := getattr(asset, "path", ""):
-        profile = _photometry(getattr(asset, "resolvedPath", "") or "", authored, path, notes)
+    tint = inputs.numbers("shaping:focusTint", (0.0, 0.0, 0.0))
+    authored, file = inputs.file("shaping:ies:file")
+    profile = _photometry(file, authored, path, notes) if authored else None
     if cone is None and profile is None and not focus > 0.0:
         return None
     scale = 1.0
-    if profile is not None and inputs.get("shaping:ies:normalize", False):
+    if profile is not None and inputs.flag("shaping:ies:normalize"):
         flux = profile.flux_lm()
         around = (
             4.0 * math.pi if profile.vertical_deg[-1] > 90.0 else 2.0 * math.pi
@@ -89,7 +88,7 @@ def read_shaping(inputs: Any, path: object, notes: Diagnostics) -> Shaping | Non
         cone=cone,
         softness=softness,
         focus=focus,
-        tint=(float(tint[0]), float(tint[1]), float(tint[2])),
+        tint=(tint[0], tint[1], tint[2]),
         profile=profile,
         scale=scale,
         angle_scale=number("ies:angleScale", 0.0),
@@ -157,16 +156,16 @@ def as_tube(local: Array) -> Array:
 
 
 STEP_DEG = 0.25
-"""Of a lamp's table, off the axis; a beam's cut-off is 0.5 degrees wide at the least."""
+"""Step of a lamp's table off its axis [deg]; the narrowest edge of a beam is 0.5 degrees wide."""
 
 
-def _columns(shaping: Shaping, seen: Callable[[Array], Array]) -> int:
-    """Of a lamp's table: one where nothing depends on the turn about its axis, else every degree, or half of one where
+def _columns(shaping: Shaping, extent: Callable[[Array], Array]) -> int:
+    """Columns of a lamp's table: one where nothing depends on the turn about its axis, else one a degree, or two where
     the profile is finer.
     """
     turns = np.zeros(1) if shaping.profile is None else shaping.profile.horizontal_deg
     if len(turns) == 1:
-        return 360 if seen is as_tube else 1
+        return 360 if extent is as_tube else 1
     return 360 if np.allclose(turns, np.round(turns), atol=1e-6) else 720
 
 
@@ -180,15 +179,15 @@ def luminous_flux(candela: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=8)  # a street has many lamps of few kinds; a table takes up to 12 MB
-def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
+def table_of(shaping: Shaping, extent: Callable[[Array], Array]) -> Array:
     """(V, H, 3) factors on a light's intensity in all directions, laid out as the renderer's `lights.photometric` has
     it; read only.
 
     Args:
-        seen: the surface's extent in directions (..., 3) of the light's own frame, as a share of its largest.
+        extent: of the surface in directions (..., 3) of the light's own frame, as a share of its largest.
     """
     angle = np.arange(0.0, 180.0 + STEP_DEG / 2.0, STEP_DEG)
-    columns = _columns(shaping, seen)
+    columns = _columns(shaping, extent)
     turn = np.arange(columns) * (2.0 * np.pi / columns)
     polar = np.radians(angle)[:, None]
     # the emitter's frame is the light's own, turned half about Y
@@ -202,6 +201,6 @@ def table_of(shaping: Shaping, seen: Callable[[Array], Array]) -> Array:
     )
     around = STEP_DEG * ((np.arange(32) + 0.5) / 32.0 - 0.5)  # an edge between two rows: each takes its share
     cone = _coned(shaping, np.abs(angle[:, None] + around)).mean(axis=1)
-    table = _shone(shaping, ways) * (seen(ways) * cone[:, None])[..., None]
+    table = _shone(shaping, ways) * (extent(ways) * cone[:, None])[..., None]
     table.flags.writeable = False
     return table

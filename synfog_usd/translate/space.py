@@ -1,15 +1,15 @@
 """From a stage's units and up axis to metres, Z up.
 
 Matrices here are (4, 4) float64 for column vectors; USD's own are for row vectors
-and are transposed at the door.
+and are transposed by `columns`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pxr import Gf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array
@@ -74,12 +74,12 @@ def stage_space(stage: Usd.Stage, notes: Diagnostics) -> Space:
     axes = {"X": X_TO_Z, "Y": Y_TO_Z, "Z": np.eye(4)}[up_axis(stage)]
     authored = str(UsdGeom.GetStageUpAxis(stage))
     if authored not in ("Y", "Z"):
-        taken = (
+        how = (
             "drawn with X up"
             if authored == "X"
             else "Y is taken, which is what USD falls back to; write Y or Z into the stage or a layer over it"
         )
-        notes.warn("", f"upAxis is {authored!r}, and USD knows Y and Z alone; {taken}")
+        notes.warn("", f"upAxis is {authored!r}, and USD knows Y and Z alone; {how}")
     return Space(float(metres), axes, np.zeros(3))
 
 
@@ -88,7 +88,7 @@ def columns(matrix: Gf.Matrix4d) -> Array:
     return np.array(matrix, dtype=np.float64).T
 
 
-def apply(matrix: Array, points: Any) -> Array:
+def apply(matrix: Array, points: npt.ArrayLike) -> Array:
     """(N, 3) points under an affine matrix, in float64."""
     return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 

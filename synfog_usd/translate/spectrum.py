@@ -1,7 +1,7 @@
-"""Spectra that stand on lights and materials as `synfog:spectrum:*`.
+"""Spectra that are authored on lights and materials as `synfog:spectrum:*`.
 
 Takes a prim; gives a spectrum on `photometry.WAVELENGTHS_NM`, or None with a
-warning where what is authored is none.
+warning on a value that is no spectrum.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Usd
 
 from synfog_usd.base import spectra
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.scene import base_colour
 from synfog_usd.translate.diagnostics import Diagnostics
@@ -61,15 +61,15 @@ def reflectance(
 
 
 @functools.lru_cache(maxsize=1024)
-def _named(name: str, own: tuple[float, float, float]) -> Array:
-    """A named reflectance in a material's own colour; solved once, as every instance of a model asks for it."""
-    curve = spectra.smooth(own) if name == spectra.PAINT else spectra.tinted(spectra.reflectance(name), own)
+def _named(name: str, colour: tuple[float, float, float]) -> Array:
+    """A named reflectance in a material's own colour; solved once for all instances of a model."""
+    curve = spectra.smooth(colour) if name == spectra.PAINT else spectra.tinted(spectra.reflectance(name), colour)
     curve.flags.writeable = False
     return curve
 
 
-def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
-    """What is authored: a word, (N, 2) numbers, or whatever else; None where nothing is."""
+def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> str | Pixels | None:
+    """The authored value: a word, (N, 2) numbers, or an array of anything else; None for none."""
     attribute = prim.GetAttribute(name) or prim.GetAttribute(f"userProperties:{name}")
     value = attribute.Get(time) if attribute and attribute.HasAuthoredValue() else None
     if value is None or isinstance(value, str):

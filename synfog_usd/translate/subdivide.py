@@ -12,14 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Flags, Indices
 
 INFINITE = 10.0
-"""Sharpness from which an edge or corner stays sharp for ever; USD's SHARPNESS_INFINITE."""
+"""Sharpness from which an edge or corner stays sharp at all levels; USD's SHARPNESS_INFINITE."""
 
 MOST_FACES = 20_000
 """Faces of a mesh up to which another level is added."""
@@ -27,9 +26,7 @@ MOST_FACES = 20_000
 MOST_LEVELS = 3
 
 FINE_ENOUGH = 250_000
-"""Faces of a mesh beyond which it is not divided, where it has none but triangles or quads: a level more would be four
-times the memory for what no pixel shows.
-"""
+"""Faces beyond which a mesh of quads is not divided: another level takes four times the memory, below a pixel."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ class Fine:
 
     Attributes:
         points: (N, C) float64.
-        indices: point of each corner, four to a quad or three to a triangle.
+        indices: point of each corner, four to a quad.
         face_of: (Q,) face of the cage that each one comes from.
         smooth_of: smooth patch of each corner: corners of one point that no sharp edge parts.
     """
@@ -77,7 +74,7 @@ class Fine:
 
 
 _TRIANGLE = 0.47
-"""Weight of a triangle's centre in its edges' points by the rule 'smooth'; OpenSubdiv's own."""
+"""Weight of a triangle's centre in its edges' points by the rule 'smooth'; OpenSubdiv's seam_edges."""
 
 
 def levels(face_count: int, *, even: bool = False) -> int:
@@ -85,7 +82,7 @@ def levels(face_count: int, *, even: bool = False) -> int:
 
     Args:
         face_count: its faces.
-        even: whether all of them have as many corners as those that come of dividing.
+        even: whether all of them are quads.
     """
     if even and face_count > FINE_ENOUGH:
         return 0
@@ -95,9 +92,9 @@ def levels(face_count: int, *, even: bool = False) -> int:
     return level
 
 
-def boundary_faces(cage: Cage, point_count: int) -> npt.NDArray[np.bool_]:
+def boundary_faces(cage: Cage, point_count: int) -> Flags:
     """(F,) faces that touch the boundary; the rule 'none' does not draw them."""
-    edges = Edges(cage)
+    edges = _Edges(cage)
     outer = np.zeros(point_count, dtype=bool)
     outer[edges.ends[edges.faces_around == 1]] = True
     return np.bincount(edges.face_of_corner, weights=outer[cage.indices], minlength=len(cage.counts)) > 0
@@ -111,7 +108,7 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
         cage: faces and sharpness.
         level: >= 1, or 0 of a cage of quads.
 
-    A point beside a crease that is still half sharp after the last level stays where
+    A point on a crease that is still half sharp after the last level stays where
     that level puts it.
     """
     values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
@@ -119,42 +116,17 @@ def subdivided(points: Array, cage: Cage, level: int) -> Fine:
     np.maximum.at(corner_sharpness, cage.corners, cage.corner_sharpness)
     for _ in range(level):
         values, cage, corner_sharpness, face_of = _divided(values, cage, corner_sharpness, face_of)
-    edges = Edges(cage)
+    edges = _Edges(cage)
     sharp = edges.sharpness(cage)
     return Fine(
         _on_limit(values, cage, edges, sharp, corner_sharpness),
         cage.indices,
         face_of,
-        smooth_patches(cage, edges, sharp),
+        _smooth_patches(cage, edges, sharp),
     )
 
 
-def bilinear(points: Array, cage: Cage, level: int) -> Fine:
-    """A cage divided `level` times without being smoothed: flat faces stay, bent quads become parts of their bilinear
-    patches.
-    """
-    values, face_of = np.asarray(points, dtype=np.float64), np.arange(len(cage.counts))
-    for _ in range(level):
-        edges = Edges(cage)
-        first, count = len(values), len(edges.keys)
-        middles = values[edges.ends].mean(axis=1)
-        starts = np.cumsum(cage.counts) - cage.counts
-        centers = np.add.reduceat(values[cage.indices], starts, axis=0) / cage.counts[:, None]
-        quads = np.stack(
-            [
-                cage.indices,
-                first + edges.of_corner,
-                first + count + edges.face_of_corner,
-                first + edges.of_corner[edges.previous],
-            ],
-            axis=1,
-        )
-        values, face_of = np.concatenate([values, middles, centers]), face_of[edges.face_of_corner]
-        cage = Cage(np.full(len(quads), 4, dtype=np.int64), quads.reshape(-1))
-    return Fine(values, cage.indices, face_of, np.arange(len(cage.indices)))
-
-
-class Edges:
+class _Edges:
     """The edges of a cage, each once.
 
     Attributes:
@@ -188,15 +160,15 @@ class Edges:
         sharp = np.zeros(len(self.keys))
         if len(cage.creases):
             pairs = np.sort(cage.creases, axis=1)
-            wanted = pairs[:, 0] * self.size + pairs[:, 1]
-            place = np.minimum(np.searchsorted(self.keys, wanted), len(self.keys) - 1)
-            known = (self.keys[place] == wanted) & (pairs[:, 1] < self.size)
-            np.maximum.at(sharp, place[known], cage.crease_sharpness[known])
+            keys = pairs[:, 0] * self.size + pairs[:, 1]
+            edge = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+            exists = (self.keys[edge] == keys) & (pairs[:, 1] < self.size)
+            np.maximum.at(sharp, edge[exists], cage.crease_sharpness[exists])
         sharp[self.faces_around != 2] = INFINITE
         return sharp
 
 
-def softened(sharpness: Array) -> Array:
+def _softened(sharpness: Array) -> Array:
     """Sharpness one level further."""
     return np.where(sharpness >= INFINITE, sharpness, np.maximum(sharpness - 1.0, 0.0))
 
@@ -204,7 +176,7 @@ def softened(sharpness: Array) -> Array:
 def _divided(
     values: Array, cage: Cage, corner_sharpness: Array, face_of: Indices
 ) -> tuple[Array, Cage, Array, Indices]:
-    edges = Edges(cage)
+    edges = _Edges(cage)
     points, faces, count = len(values), len(cage.counts), len(edges.keys)
     sharp = edges.sharpness(cage)
     per_corner = (1.0 / cage.counts)[edges.face_of_corner]
@@ -212,7 +184,7 @@ def _divided(
     to_middle = sparse.csr_array(
         (np.full(2 * count, 0.5), (np.repeat(np.arange(count), 2), edges.ends.reshape(-1))), shape=(count, points)
     )
-    beside = sparse.csr_array(
+    to_edge = sparse.csr_array(
         (np.ones(len(cage.indices)), (edges.of_corner, edges.face_of_corner)), shape=(count, faces)
     )
     hard = np.minimum(sharp, 1.0)
@@ -220,17 +192,17 @@ def _divided(
     lean = np.full((count, 1), 0.25)
     if cage.smooth_triangles:
         weight = np.where(cage.counts == 3, _TRIANGLE, 0.25)
-        lean[edges.faces_around == 2] = (0.5 * (beside @ weight))[edges.faces_around == 2, None]
-    soft = (1.0 - 2.0 * lean) * middles + lean * (beside @ face_points)
+        lean[edges.faces_around == 2] = (0.5 * (to_edge @ weight))[edges.faces_around == 2, None]
+    soft = (1.0 - 2.0 * lean) * middles + lean * (to_edge @ face_points)
     edge_points = hard[:, None] * middles + (1.0 - hard)[:, None] * soft
 
     ends, degree = edges.ends, np.bincount(edges.ends.reshape(-1), minlength=points)
     now = _vertex_points(values, cage, edges, sharp, corner_sharpness, face_points, degree)
-    later_sharp, later_corner = softened(sharp), softened(corner_sharpness)
+    later_sharp, later_corner = _softened(sharp), _softened(corner_sharpness)
     vertex_points = now.values
-    if is_fractional(sharp, corner_sharpness):
+    if _is_fractional(sharp, corner_sharpness):
         after = _vertex_points(values, cage, edges, later_sharp, later_corner, face_points, degree)
-        vertex_points = between(now, after, ends, sharp, corner_sharpness)
+        vertex_points = _between(now, after, ends, sharp, corner_sharpness)
 
     corners = np.arange(len(cage.indices))
     quads = np.stack(
@@ -256,40 +228,40 @@ def _divided(
 
 
 @dataclass(frozen=True)
-class Moved:
+class _Moved:
     """Points of a cage, one level on.
 
     Attributes:
         values: (N, C) where they go.
-        rule: (N,) by which of `rules`.
+        rule: (N,) by which of `_rules`.
     """
 
     values: Array
     rule: Indices
 
 
-def is_fractional(sharp: Array, corner_sharpness: Array) -> bool:
+def _is_fractional(sharp: Array, corner_sharpness: Array) -> bool:
     """Whether anything stops being sharp within the next level."""
     return bool(((sharp > 0.0) & (sharp < 1.0)).any() or ((corner_sharpness > 0.0) & (corner_sharpness < 1.0)).any())
 
 
-def between(now: Moved, after: Moved, ends: Indices, sharp: Array, corner_sharpness: Array) -> Array:
-    """Points beside what stops being sharp: between the rules of this level and of the next, by the mean of the
+def _between(now: _Moved, after: _Moved, ends: Indices, sharp: Array, corner_sharpness: Array) -> Array:
+    """Points where something stops being sharp: between the rules of this level and of the next, by the mean of the
     fractions.
     """
-    ending = (sharp > 0.0) & (softened(sharp) <= 0.0)
+    ending = (sharp > 0.0) & (_softened(sharp) <= 0.0)
     total, number = np.zeros(len(now.rule)), np.zeros(len(now.rule))
     for side in (0, 1):
         np.add.at(total, ends[ending, side], sharp[ending])
         np.add.at(number, ends[ending, side], 1.0)
-    falling = (corner_sharpness > 0.0) & (softened(corner_sharpness) <= 0.0)
+    falling = (corner_sharpness > 0.0) & (_softened(corner_sharpness) <= 0.0)
     total[falling] += corner_sharpness[falling]
     number[falling] += 1.0
     share = np.where(now.rule == after.rule, 1.0, np.minimum(total / np.maximum(number, 1.0), 1.0))[:, None]
     return np.asarray(share * now.values + (1.0 - share) * after.values)
 
 
-def rules(cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Indices:
+def _rules(cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array) -> Indices:
     """(N,) how each point moves: 0 smooth, 1 along its crease, 2 not at all."""
     points = len(corner_sharpness)
     hard = np.bincount(edges.ends[sharp > 0.0].reshape(-1), minlength=points)
@@ -299,12 +271,12 @@ def rules(cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> In
     return rule
 
 
-def neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> Array:
+def _neighbours(ends: Indices, chosen: Flags, values: Array) -> Array:
     """Sum of the values at the other ends of the chosen edges, for each point."""
     a, b = ends[chosen, 0], ends[chosen, 1]
-    ones = np.ones(2 * len(a))
+    weights = np.ones(2 * len(a))
     return np.asarray(
-        sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(len(values), len(values)))
+        sparse.csr_array((weights, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(len(values), len(values)))
         @ values
     )
 
@@ -312,38 +284,36 @@ def neighbours(ends: Indices, chosen: npt.NDArray[np.bool_], values: Array) -> A
 def _vertex_points(
     values: Array,
     cage: Cage,
-    edges: Edges,
+    edges: _Edges,
     sharp: Array,
     corner_sharpness: Array,
     face_points: Array,
     degree: Indices,
-) -> Moved:
-    rule = rules(cage, edges, sharp, corner_sharpness)
+) -> _Moved:
+    rule = _rules(cage, edges, sharp, corner_sharpness)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
-    around = neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
-    ones = np.ones(len(cage.indices))
+    around = _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
+    weights = np.ones(len(cage.indices))
     faces = (
-        sparse.csr_array((ones, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts)))
+        sparse.csr_array((weights, (cage.indices, edges.face_of_corner)), shape=(len(values), len(cage.counts)))
         @ face_points
     )
     smooth = (n - 2.0) / n * values + (around + faces) / n**2
-    crease = 0.75 * values + 0.125 * neighbours(edges.ends, sharp > 0.0, values)
+    crease = 0.75 * values + 0.125 * _neighbours(edges.ends, sharp > 0.0, values)
     free = (rule == 0) & (degree > 0)
-    return Moved(np.where(free[:, None], smooth, np.where((rule == 1)[:, None], crease, values)), rule)
+    return _Moved(np.where(free[:, None], smooth, np.where((rule == 1)[:, None], crease, values)), rule)
 
 
-def _on_limit(values: Array, cage: Cage, edges: Edges, sharp: Array, corner_sharpness: Array) -> Array:
+def _on_limit(values: Array, cage: Cage, edges: _Edges, sharp: Array, corner_sharpness: Array) -> Array:
     points = len(values)
     degree = np.bincount(edges.ends.reshape(-1), minlength=points)
-    rule = rules(cage, edges, sharp, corner_sharpness)
+    rule = _rules(cage, edges, sharp, corner_sharpness)
     n = np.maximum(degree, 1)[:, None].astype(np.float64)
     across = cage.indices[edges.following[edges.following]]
-    ones = np.ones(len(across))
-    opposite = sparse.csr_array((ones, (cage.indices, across)), shape=(points, points)) @ values
-    smooth = (n**2 * values + 4.0 * neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values) + opposite) / (
-        n * (n + 5.0)
-    )
-    crease = (4.0 * values + neighbours(edges.ends, sharp > 0.0, values)) / 6.0
+    opposite = sparse.csr_array((np.ones(len(across)), (cage.indices, across)), shape=(points, points)) @ values
+    around = _neighbours(edges.ends, np.ones(len(edges.ends), dtype=bool), values)
+    smooth = (n**2 * values + 4.0 * around + opposite) / (n * (n + 5.0))
+    crease = (4.0 * values + _neighbours(edges.ends, sharp > 0.0, values)) / 6.0
     half_sharp = np.zeros(points, dtype=bool)
     half_sharp[edges.ends[(sharp > 0.0) & (sharp < INFINITE)]] = True
     half_sharp |= (corner_sharpness > 0.0) & (corner_sharpness < INFINITE)
@@ -361,17 +331,16 @@ def cut_apart(cage: Cage, values: Indices, rule: str) -> Cage:
             those of one face; 'cornersPlus1' also where three regions meet; 'cornersPlus2' also ends of seams, and
             the other side of a corner; 'boundaries' all at seams.
     """
-    edges = Edges(cage)
+    edges = _Edges(cage)
     sharp = edges.sharpness(cage)[edges.of_corner]
     inner = np.flatnonzero((sharp > 0.0) & (edges.faces_around == 2)[edges.of_corner])
     count = int(values.max()) + 1
     at_point = np.zeros(edges.size)
-    known = cage.corners[cage.corners < edges.size]
-    np.maximum.at(at_point, known, cage.corner_sharpness[cage.corners < edges.size])
+    np.maximum.at(at_point, cage.corners[cage.corners < edges.size], cage.corner_sharpness[cage.corners < edges.size])
     point_of = np.zeros(count, dtype=np.int64)
     point_of[values] = cage.indices
     pinned = at_point[point_of]
-    made = Cage(
+    seamed = Cage(
         cage.counts,
         values,
         np.stack([values[inner], values[edges.following[inner]]], axis=1),
@@ -379,9 +348,9 @@ def cut_apart(cage: Cage, values: Indices, rule: str) -> Cage:
         sharp_ends=rule != "none",
         smooth_triangles=cage.smooth_triangles,
     )
-    own = Edges(made)
+    seam_edges = _Edges(seamed)
     at_seam = np.zeros(count, dtype=bool)
-    at_seam[own.ends[own.faces_around == 1]] = True
+    at_seam[seam_edges.ends[seam_edges.faces_around == 1]] = True
     regions = np.bincount(point_of, minlength=edges.size)[point_of]
     if rule == "boundaries":
         pinned[at_seam] = INFINITE
@@ -393,16 +362,16 @@ def cut_apart(cage: Cage, values: Indices, rule: str) -> Cage:
         beside_corner[point_of[single]] = True
         pinned[(regions == 2) & beside_corner[point_of]] = INFINITE
         torn = np.bincount(edges.of_corner, minlength=len(edges.keys)) == 2
-        lone = own.faces_around[own.of_corner] == 1
+        lone = seam_edges.faces_around[seam_edges.of_corner] == 1
         ends = np.flatnonzero(torn[edges.of_corner] & lone)
         dart = np.zeros(count, dtype=bool)
         dart[values[ends]] = dart[values[edges.following[ends]]] = True
         pinned[dart & (regions == 1)] = INFINITE
     hard = np.flatnonzero(pinned > 0.0)
-    return replace(made, corners=hard, corner_sharpness=pinned[hard])
+    return replace(seamed, corners=hard, corner_sharpness=pinned[hard])
 
 
-def smooth_patches(cage: Cage, edges: Edges, sharp: Array) -> Indices:
+def _smooth_patches(cage: Cage, edges: _Edges, sharp: Array) -> Indices:
     """Number of the smooth patch of each corner: its point, where nothing around it is sharp for good."""
     if not (sharp[edges.faces_around == 2] >= INFINITE).any():
         return cage.indices

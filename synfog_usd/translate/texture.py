@@ -12,51 +12,38 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import OpenImageIO
-from pxr import Ar, Gf, Usd, UsdShade
+from pxr import Ar, Usd, UsdShade
 
 from synfog_usd.base import system
-from synfog_usd.base.arrays import Pixels
+from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.base.colour import SRGB_TO_LINEAR, srgb_decode, srgb_encode
 from synfog_usd.base.errors import StageError
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.finite import is_finite
+from synfog_usd.translate.shader import file_of, number_of, numbers_of, producer, shader_id, word_of
 from synfog_usd.translate.wrap import MODES, Wrapped, wrapped
 
+P = ParamSpec("P")
+R = TypeVar("R")
 MAX_PIXELS = 1 << 26
-"""Pixels of one texture; 8192 x 8192.  Asked of its header, before it is decoded."""
+"""Pixels of one texture, 8192 x 8192, by its header."""
 
 MAX_BYTES = 1 << 33
-"""Of all textures of a stage as they are decoded."""
+"""Size of all textures of a stage as they are decoded [byte]."""
 
 PICTURES = frozenset(
-    (
-        *(
-            ".png",
-            ".jpg",
-            ".jpeg",
-            ".jpe",
-            ".exr",
-            ".hdr",
-            ".pic",
-            ".tif",
-            ".tiff",
-            ".tx",
-            ".tga",
-            ".bmp",
-            ".webp",
-            ".psd",
-            ".gif",
-        ),
-        *(".jp2", ".j2k", ".jxl", ".dds", ".sgi", ".rgb", ".rgba", ".pnm", ".ppm", ".pgm", ".heic", ".avif"),
-    )
+    {
+        *(".png", ".jpg", ".jpeg", ".jpe", ".exr", ".hdr", ".pic", ".tif", ".tiff", ".tx", ".tga", ".bmp", ".webp"),
+        *(".psd", ".gif", ".jp2", ".j2k", ".jxl", ".dds", ".sgi", ".rgb", ".rgba", ".pnm", ".ppm", ".pgm", ".heic"),
+        ".avif",
+    }
 )
-"""Ends of the names of files that are opened as pictures; a library that tries whatever it knows on any file opens
-videos and raw photographs too.
+"""Endings of files that are opened as pictures; a library that tries whatever it knows on any file opens videos and raw
+photographs too.
 """
 
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
@@ -68,7 +55,7 @@ _OUTPUTS = ("rgb", *_CHANNEL, "rgba", "out")
 _SPACES = ("auto", "raw", "sRGB")
 _SRGB = ("sRGB", "srgb_texture", "sRGB - Texture", "srgb_rec709_scene")
 RAW = dict.fromkeys(("", "Raw", "none", "linear", "lin_rec709", "lin_rec709_scene", "Utility - Raw"), "raw")
-"""Words of other tools for what is read as it stands."""
+"""Words of other tools for values that are read as they are."""
 
 _IN_FILES = {"periodic": "repeat", "mirror": "mirror", "clamp": "clamp", "black": "black"}
 """OpenImageIO's words for wrap modes in a file."""
@@ -117,7 +104,7 @@ class ImageReader:
     """Image files by resolved path, also inside .usdz; each read once.
 
     Args:
-        notes: where what cannot be read is told.
+        notes: for what cannot be read.
         before: of an earlier translation of the same stage, whose pictures are used again.
     """
 
@@ -128,28 +115,29 @@ class ImageReader:
         self.sampled: dict[tuple[Any, ...], Pixels | tuple[float, ...]] = {}
         self._modes: dict[str, tuple[str, str]] = {}
         self._wrapped: dict[tuple[Any, ...], tuple[Pixels, Wrapped]] = {}
-        self._asked: dict[tuple[Any, ...], tuple[weakref.ref[Pixels], Any]] = {}
-        self._for_once: set[str] = set()  # what something was told of, and what no file holds
+        self._answers: dict[tuple[Any, ...], tuple[weakref.ref[Pixels], Any]] = {}
+        self._for_once: set[str] = set()  # pictures with a note, and those that no file holds
         if before is not None:
             lasting = (key for key, value in before.sampled.items() if isinstance(value, np.ndarray))
             self.sampled = {key: before.sampled[key] for key in lasting if key[0] not in before._for_once}
-            self._modes, self._wrapped, self._asked = dict(before._modes), dict(before._wrapped), dict(before._asked)
+            self._modes, self._wrapped = dict(before._modes), dict(before._wrapped)
+            self._answers = dict(before._answers)
 
     def read(self, file: str, path: str) -> Pixels | None:
         """(H, W, C) uint8 or float32, row 0 at the top, alpha not multiplied in; None where it cannot be read."""
-        return self._known(file, lambda: self._read(file, path))
+        return self._remembered(file, lambda: self._read(file, path))
 
     def of(self, node: TextureNode) -> Pixels | None:
         """The picture of a texture node, its tiles side by side; None where there is none."""
         if not node.tiles:
             return self.read(node.file, node.path) if node.file else None
-        return self._known(node.file, lambda: self._joined(node))
+        return self._remembered(node.file, lambda: self._joined(node))
 
-    def _known(self, name: str, make: Callable[[], Pixels | None]) -> Pixels | None:
+    def _remembered(self, name: str, make: Callable[[], Pixels | None]) -> Pixels | None:
         if name not in self._images:
-            told = self.notes.told
+            before = self.notes.count
             self._images[name] = make()
-            if self.notes.told != told:
+            if self.notes.count != before:
                 self._for_once.add(name)
         return self._images[name]
 
@@ -157,12 +145,13 @@ class ImageReader:
         """Let the files' own pixels go, of which `sampled` has what is drawn."""
         self._images.clear()
 
-    def once(self, ask: Callable[..., Any], pixels: Pixels, *more: Any) -> Any:
-        """ask(pixels, *more), worked out once for an array as long as it lives: every instance of a model asks anew."""
-        key = (ask, id(pixels), *more)
-        if key not in self._asked or self._asked[key][0]() is not pixels:
-            self._asked[key] = weakref.ref(pixels), ask(pixels, *more)
-        return self._asked[key][1]
+    def once(self, compute: Callable[Concatenate[Pixels, P], R], pixels: Pixels, *more: P.args, **named: P.kwargs) -> R:
+        """compute(pixels, *more), once for an array as long as it lives: every instance of a model needs it again."""
+        key = (compute, id(pixels), *more)
+        if key not in self._answers or self._answers[key][0]() is not pixels:
+            self._answers[key] = weakref.ref(pixels), compute(pixels, *more, **named)
+        answer: R = self._answers[key][1]
+        return answer
 
     def keep(self, name: str, pixels: Pixels) -> None:
         """Let a picture that no file holds be read by a name of its own."""
@@ -172,8 +161,8 @@ class ImageReader:
     def wraps(self, node: TextureNode) -> tuple[str, str]:
         """Modes along u and v, with those of the file where the node leaves it to it; black where nobody says."""
         in_file = self._modes.get(node.file, ("black", "black"))
-        wanted = (node.wrap, node.wrap_v or node.wrap)
-        along_u, along_v = (wrap if wrap in MODES else own for wrap, own in zip(wanted, in_file, strict=True))
+        authored = (node.wrap, node.wrap_v or node.wrap)
+        along_u, along_v = (wrap if wrap in MODES else mode for wrap, mode in zip(authored, in_file, strict=True))
         return along_u, along_v
 
     def wrapped(self, pixels: Pixels, node: TextureNode) -> Wrapped:
@@ -181,21 +170,18 @@ class ImageReader:
         wraps = self.wraps(node)
         if wraps[0] == wraps[1] != "black":
             return Wrapped(pixels, wraps[0])
-        said = np.array(node.bias if node.outside is None else node.outside, dtype=np.float32)
-        outside: Pixels = np.maximum(_picked(said.reshape(1, 1, 4), node, pixels.shape[2]).reshape(-1), 0.0)
+        black = np.array(node.bias if node.outside is None else node.outside, dtype=np.float32)
+        outside: Pixels = np.maximum(_picked(black.reshape(1, 1, 4), node, pixels.shape[2]).reshape(-1), 0.0)
         if pixels.dtype == np.uint8:
             outside = np.rint(255.0 * srgb_encode(outside)).astype(np.uint8)
         key = (id(pixels), wraps, tuple(outside.tolist()))
         if key not in self._wrapped:
-            self._wrapped[key] = (
-                pixels,
-                wrapped(pixels, wraps, outside),
-            )  # the pixels are kept, so that no other array gets their id
+            self._wrapped[key] = pixels, wrapped(pixels, wraps, outside)  # kept, so that no other array gets its id
         return self._wrapped[key][1]
 
     def _joined(self, node: TextureNode) -> Pixels | None:
         """Tiles in one picture, each scaled to the largest; what no tile covers is black."""
-        left, bottom, columns, rows = tile_range(node.tiles)
+        first_column, first_row, columns, rows = tile_range(node.tiles)
         read = [(number, self.read(file, node.path)) for number, file in node.tiles]
         tiles = [(number, pixels) for number, pixels in read if pixels is not None]
         if not tiles:
@@ -221,7 +207,7 @@ class ImageReader:
             )
             values = np.concatenate([values, *[values[..., -1:]] * (channels - values.shape[2])], axis=2)
             values = _scaled(values, height, width)
-            column, row = (number - 1001) % 10 - left, rows - 1 - ((number - 1001) // 10 - bottom)
+            column, row = (number - 1001) % 10 - first_column, rows - 1 - ((number - 1001) // 10 - first_row)
             result[row * height : (row + 1) * height, column * width : (column + 1) * width] = values
         return result
 
@@ -311,7 +297,7 @@ def tile_range(tiles: tuple[tuple[int, str], ...]) -> tuple[int, int, int, int]:
 
 
 def is_srgb(node: TextureNode, pixels: Pixels) -> bool:
-    """Whether a file's codes are sRGB: as said, else for 8-bit images of 3 or 4 channels.
+    """Whether a file's codes are sRGB: as authored, else for 8-bit images of 3 or 4 channels.
 
     Source: UsdPreviewSurface specification, UsdUVTexture, sourceColorSpace.
     """
@@ -341,26 +327,22 @@ def texture_node(output: Usd.Attribute, time: Usd.TimeCode, notes: Diagnostics) 
     """What a UsdUVTexture says, from the output that a material is connected to."""
     shader = UsdShade.Shader(output.GetPrim())
     path = str(shader.GetPath())
-    asset = value_of(shader, "file", time)
-    scale, bias, fallback = (tuple(value_of(shader, name, time, default)) for name, default in _TUPLES)
-    wraps = [
-        notes.token(
-            path, name, _WRAPS.get(given := str(value_of(shader, name, time, "useMetadata")), given), _MODES, _MODES[0]
-        )
-        for name in ("wrapS", "wrapT")
-    ]
-    space = str(value_of(shader, "sourceColorSpace", time, "auto"))
+    authored, file = file_of(shader, "file", time)
+    scale, bias, fallback = (numbers_of(shader, name, time, default) for name, default in _TUPLES)
+    wraps = []
+    for name in ("wrapS", "wrapT"):
+        mode = word_of(shader, name, time, "useMetadata")
+        wraps.append(notes.token(path, name, _WRAPS.get(mode, mode), _MODES, _MODES[0]))
+    space = word_of(shader, "sourceColorSpace", time, "auto")
     if space not in _SRGB:
         space = notes.token(path, "sourceColorSpace", RAW.get(space, space), _SPACES, "raw")
-    authored = getattr(asset, "path", "") or ""
-    file = getattr(asset, "resolvedPath", "") or ""
     uv = _uv_source(shader, time, notes)
     tiles, file, uv = tiled(shader, authored, file, uv)
     if tiles and uv is not None:
         wraps = ["clamp", "clamp"]
     if not file:
-        taken = ", ".join(f"{c:.4g}" for c in fallback)
-        notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback ({taken}) is used")
+        numbers = ", ".join(f"{c:.4g}" for c in fallback)
+        notes.warn(path, f"texture {authored or '(no file)'} is not found; its fallback ({numbers}) is used")
     return TextureNode(
         path=path,
         file=file,
@@ -381,15 +363,15 @@ def tiled(
     shader: UsdShade.Shader, authored: str, file: str, uv: UvSource | None
 ) -> tuple[tuple[tuple[int, str], ...], str, UvSource | None]:
     """Tiles of a texture with <UDIM> in its name, the name that stands for them together, and its coordinates on them
-    all; () and what was given for any other.
+    all; for any other texture (), and file and coordinates as they are.
     """
     if "<UDIM>" not in authored:
         return (), file, uv
     tiles = _tiles(shader, authored, file)
     if not tiles or uv is None:
         return tiles, (file or authored) if tiles else "", uv
-    left, bottom, columns, rows = tile_range(tiles)
-    onto = np.array([[1.0 / columns, 0.0, -left / columns], [0.0, 1.0 / rows, -bottom / rows]]) @ np.vstack(
+    column, row, columns, rows = tile_range(tiles)
+    onto = np.array([[1.0 / columns, 0.0, -column / columns], [0.0, 1.0 / rows, -row / rows]]) @ np.vstack(
         [np.array(uv.matrix), [0.0, 0.0, 1.0]]
     )
     (a, b, c), (d, e, f) = onto.tolist()
@@ -400,85 +382,17 @@ def _tiles(shader: UsdShade.Shader, authored: str, file: str) -> tuple[tuple[int
     """The tiles of a texture with <UDIM> in its name, by number."""
     for attribute in UsdShade.Utils.GetValueProducingAttributes(shader.GetInput("file")):
         for spec in attribute.GetPropertyStack(Usd.TimeCode.Default()):
-            found = UsdShade.UdimUtils.ResolveUdimTilePaths(
-                authored, spec.layer
-            ) or UsdShade.UdimUtils.ResolveUdimTilePaths(file, spec.layer)
+            resolve = UsdShade.UdimUtils.ResolveUdimTilePaths
+            paths = resolve(authored, spec.layer) or resolve(file, spec.layer)
             numbered = [
-                (int(tile), str(path)) for path, tile in found if str(tile).isdigit() and 1001 <= int(tile) <= 1100
+                (int(tile), str(path)) for path, tile in paths if str(tile).isdigit() and 1001 <= int(tile) <= 1100
             ]
             if numbered:
                 return tuple(sorted(numbered))
     return ()
 
 
-_TUPLES = (("scale", Gf.Vec4f(1, 1, 1, 1)), ("bias", Gf.Vec4f(0, 0, 0, 0)), ("fallback", Gf.Vec4f(0, 0, 0, 1)))
-
-
-def value_of(shader: UsdShade.Shader, name: str, time: Usd.TimeCode, default: Any = None) -> Any:
-    """Constant value of an input through its connections, as far as it fits the kind of `default`; else `default`, also
-    for NaN and infinity.  Without a default it is what stands there.
-    """
-    source = shader.GetInput(name)
-    if not source:
-        return default
-    for attribute in UsdShade.Utils.GetValueProducingAttributes(source):
-        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
-            value = attribute.Get(time)
-            if value is None:
-                value = attribute.Get(Usd.TimeCode.EarliestTime())
-            if value is not None:
-                return fitted(value, default) if is_finite(value) else default
-    return default
-
-
-def numbers_in(value: Any) -> tuple[float, ...] | None:
-    """The numbers of a value of USD in their order; None of what holds none."""
-    if isinstance(value, str) or value is None:
-        return None
-    try:
-        found = np.asarray(value, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError):
-        return None
-    return tuple(found.tolist()) if len(found) else None
-
-
-def fitted(value: Any, default: Any) -> Any:
-    """A value with as many numbers as `default`, or a word where that is one; `default` where it does not fit.
-
-    >>> fitted((0.5, 0.25, 0.75, 1.0), (0.0, 0.0, 0.0)), fitted(0.5, (0.0, 0.0, 0.0, 1.0)), fitted("a", 0.5)
-    ((0.5, 0.25, 0.75), (0.5, 0.5, 0.5, 1.0), 0.5)
-    """
-    if default is None or (isinstance(default, (str, bool)) and isinstance(value, (str, bool, int))):
-        return value
-    numbers = numbers_in(value)
-    if isinstance(default, str) or numbers is None:
-        return default
-    if isinstance(default, (bool, int, float)):
-        mean = sum(numbers) / len(numbers)
-        return value if isinstance(value, (bool, int, float)) else int(mean) if isinstance(default, int) else mean
-    wanted, rest = len(default), tuple(default)
-    if len(numbers) == 1:
-        numbers = numbers * min(wanted, 3)
-    if len(numbers) < min(wanted, 3):
-        return default
-    return numbers[:wanted] + rest[len(numbers) :]
-
-
-def producer(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
-    """The shader output that feeds an input, or None where it is a constant."""
-    source = shader.GetInput(name)
-    if not source:
-        return None
-    for attribute in UsdShade.Utils.GetValueProducingAttributes(source):
-        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Output:
-            return attribute
-    return None
-
-
-def shader_id(prim: Usd.Prim) -> str:
-    """The node type of a shader prim, or ''."""
-    attribute = prim.GetAttribute("info:id")
-    return str(attribute.Get() or "") if attribute else ""
+_TUPLES = (("scale", (1.0,) * 4), ("bias", (0.0,) * 4), ("fallback", (0.0, 0.0, 0.0, 1.0)))
 
 
 def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics) -> UvSource | None:
@@ -491,18 +405,19 @@ def _uv_source(shader: UsdShade.Shader, time: Usd.TimeCode, notes: Diagnostics) 
         node = UsdShade.Shader(output.GetPrim())
         kind = shader_id(output.GetPrim()).removeprefix("ND_")  # as MaterialX names the same nodes
         if kind.startswith("UsdTransform2d"):
-            angle = np.radians(float(value_of(node, "rotation", time, 0.0)))
-            scale, shift = value_of(node, "scale", time, (1.0, 1.0)), value_of(node, "translation", time, (0.0, 0.0))
+            angle = np.radians(number_of(node, "rotation", time, 0.0))
+            scale = numbers_of(node, "scale", time, (1.0, 1.0))
+            shift = numbers_of(node, "translation", time, (0.0, 0.0))
             turn = np.array(
                 [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
             )
-            step = turn @ np.diag([float(scale[0]), float(scale[1]), 1.0])
-            step[:2, 2] = float(shift[0]), float(shift[1])
+            step = turn @ np.diag([*scale, 1.0])
+            step[:2, 2] = shift
             matrix = matrix @ step
             output = producer(node, "in")
         elif kind.startswith("UsdPrimvarReader"):
             (a, b, c), (d, e, f) = matrix[:2].tolist()
-            return UvSource(str(value_of(node, "varname", time, "st")), ((a, b, c), (d, e, f)))
+            return UvSource(word_of(node, "varname", time, "st"), ((a, b, c), (d, e, f)))
         else:
             notes.warn(
                 node.GetPath(),
@@ -554,16 +469,16 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
 
 
 def _measured(pixels: Pixels, node: TextureNode, channels: int, *, srgb: bool) -> npt.NDArray[np.float32]:
-    """`_picked` of linear values with scale and bias, of which those alone are worked out that are picked."""
+    """`_picked` of linear values with scale and bias, without the channels that are not picked."""
     count, channel = pixels.shape[2], _CHANNEL.get(node.channel)
 
     def column(c: int) -> npt.NDArray[np.float32]:
-        place = c if count > 2 else c // 3  # as `_four` has it
-        if place < count:
-            one = linear(pixels[..., place : place + 1], srgb=srgb and not place == count - 1 == 3)
+        source = c if count > 2 else c // 3  # as `_four` has it
+        if source < count:
+            values = linear(pixels[..., source : source + 1], srgb=srgb and not source == count - 1 == 3)
         else:
-            one = np.ones((*pixels.shape[:2], 1), dtype=np.float32)
-        return np.asarray(one * np.float32(node.scale[c]) + np.float32(node.bias[c]))
+            values = np.ones((*pixels.shape[:2], 1), dtype=np.float32)
+        return np.asarray(values * np.float32(node.scale[c]) + np.float32(node.bias[c]))
 
     if channels == 1 or channel is not None:
         return np.ascontiguousarray(np.repeat(column(channel or 0), channels, axis=2))
@@ -571,7 +486,7 @@ def _measured(pixels: Pixels, node: TextureNode, channels: int, *, srgb: bool) -
 
 
 def normals(
-    node: TextureNode, images: ImageReader, scale: npt.NDArray[Any], bias: npt.NDArray[Any], *, untouched: bool
+    node: TextureNode, images: ImageReader, scale: Array, bias: Array, *, untouched: bool
 ) -> npt.NDArray[np.float32] | None:
     """(H, W, 3) normals as Mitsuba takes them, halved and 0.5 added; None where there is no picture of three channels.
 
@@ -592,9 +507,7 @@ def normals(
     return np.asarray(images.sampled[key])
 
 
-def _normals(
-    pixels: Pixels, scale: npt.NDArray[Any], bias: npt.NDArray[Any], *, untouched: bool
-) -> npt.NDArray[np.float32]:
+def _normals(pixels: Pixels, scale: Array, bias: Array, *, untouched: bool) -> npt.NDArray[np.float32]:
     values = linear(pixels[..., :3], srgb=False)
     if untouched and pixels.dtype != np.uint8:
         values = values * np.float32(0.5) + np.float32(0.5)
@@ -607,7 +520,7 @@ def _normals(
 
 
 def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArray[np.float32]:
-    """(H, W, 4) linear values of a texture with its scale and bias, (1, 1, 4) of its fallback where it has no file.
+    """(H, W, 4) linear values of a texture with its scale and bias; those of its fallback where it has no file.
 
     It is halved until it has at most `most` pixels.
     """
@@ -618,20 +531,20 @@ def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArra
         pixels = pixels[-1:, :1]
     srgb = is_srgb(node, pixels)
     height, width = pixels.shape[:2]
-    made = linear(pixels, srgb=srgb)
+    values = linear(pixels, srgb=srgb)
     while height * width > most:
         height, width = max(height // 2, 1), max(width // 2, 1)
-    if (height, width) != made.shape[:2]:
-        made = resized(made, (height, width))
-    return _four(made) * np.array(node.scale, dtype=np.float32) + np.array(node.bias, dtype=np.float32)
+    if (height, width) != values.shape[:2]:
+        values = resized(values, (height, width))
+    return _four(values) * np.array(node.scale, dtype=np.float32) + np.array(node.bias, dtype=np.float32)
 
 
 def resized(pixels: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
     """A float picture of another (height, width)."""
     source = OpenImageIO.ImageBuf(np.ascontiguousarray(pixels, dtype=np.float32))
     region = OpenImageIO.ROI(0, size[1], 0, size[0], 0, 1, 0, pixels.shape[2])
-    made = OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("float")
-    return np.asarray(made, dtype=np.float32).reshape(*size, pixels.shape[2])
+    values = OpenImageIO.ImageBufAlgo.resize(source, roi=region).get_pixels("float")
+    return np.asarray(values, dtype=np.float32).reshape(*size, pixels.shape[2])
 
 
 def _fallback(node: TextureNode, channels: int) -> tuple[float, ...]:

@@ -46,10 +46,13 @@ PHASES = ("hg", "droplets", "mie")
 PROFILES = ("uniform", "exponential", "grid")
 
 _FAR = 1e30
-"""Coordinates beyond it overflow where they are multiplied."""
+"""Largest coordinate that can be multiplied without overflow."""
 
 _MAX_BYTES = 8 * MAX_VOXELS + 4096
-"""Of an array in a file, in double precision."""
+"""Size of an array of doubles in a file [byte]."""
+
+Fault = Callable[[str, str], StageError]
+"""From an attribute and what it allows to an error."""
 
 
 class FogError(StageError):
@@ -129,7 +132,7 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
 
 
 MAX_PAIRS = 2_000_000
-"""Pairs of fogs that may touch; looking at so many takes half a minute."""
+"""Pairs of fogs that may touch; to test so many takes half a minute."""
 
 _Pairs = set[tuple[int, int]]
 
@@ -137,7 +140,7 @@ _Pairs = set[tuple[int, int]]
 def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs, _Pairs, _Pairs]:
     """Pairs (i, j) for which all surface points of `inner[i]` lie in volume j, and some or all of them in `inner[j]`.
 
-    Only fogs whose boxes along the axes meet are looked at, all that meet one of them together.
+    Only fogs whose boxes along the axes meet are tested, all that meet one of them together.
 
     Raises:
         FogError: more than `MAX_PAIRS` of them.
@@ -147,30 +150,30 @@ def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs,
     wholly: _Pairs = set()
     points = [boundary.surface_points() for boundary in inner]
     boxes = np.array([_extent(volume.boundary) for volume in volumes]).reshape(-1, 2, 3)
-    seen = 0
+    pairs = 0
     for j, volume in enumerate(volumes):
         meets = ((boxes[:, 0] <= boxes[j, 1]) & (boxes[:, 1] >= boxes[j, 0])).all(axis=1)
         meets[j] = False
-        others = np.flatnonzero(meets)
-        seen += len(others)
-        if seen > 2 * MAX_PAIRS:
+        near = np.flatnonzero(meets)
+        pairs += len(near)
+        if pairs > 2 * MAX_PAIRS:
             raise FogError(
                 "fog-crosses",
                 volume.path,
                 f"{volume.path}: more than {MAX_PAIRS} pairs of fog boundaries may touch; merge some, or move them "
                 f"apart",
             )
-        if not len(others):
+        if not len(near):
             continue
-        stacked = np.concatenate([points[i] for i in others])
-        starts = np.cumsum([0, *(len(points[i]) for i in others[:-1])])
+        stacked = np.concatenate([points[i] for i in near])
+        starts = np.cumsum([0, *(len(points[i]) for i in near[:-1])])
         in_volume, in_inner = volume.boundary.contains(stacked), inner[j].contains(stacked)
-        for found, mask in (
+        for relation, mask in (
             (inside, np.logical_and.reduceat(in_volume, starts)),
             (partly, np.logical_or.reduceat(in_inner, starts)),
             (wholly, np.logical_and.reduceat(in_inner, starts)),
         ):
-            found.update((int(i), j) for i in others[mask])
+            relation.update((int(i), j) for i in near[mask])
     return inside, partly, wholly
 
 
@@ -279,17 +282,17 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
             return _extent_box(prim, matrix, time)
         if kind == "Mesh":
             polygons = read_mesh(prim, time, notes)
-            made = part(polygons, None) if polygons is not None else None
+            triangles = part(polygons, None) if polygons is not None else None
         elif kind in ("Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1"):
-            made = read_implicit(prim, kind, time, notes)
+            triangles = read_implicit(prim, kind, time, notes)
         else:
             raise StageError(
                 f"{path}: a {kind or 'prim without a type'} cannot hold fog; use a Cube, Sphere, Cylinder or closed "
                 f"Mesh"
             )
-        if made is None:
+        if triangles is None:
             raise StageError(f"{path}: a fog boundary without faces that can be used; make it a closed mesh")
-        return _mesh_boundary(apply(matrix, made.positions), made.faces, path)
+        return _mesh_boundary(apply(matrix, triangles.positions), triangles.faces, path)
     except ParameterError as problem:
         raise StageError(f"{path}: {problem}") from problem
 
@@ -302,7 +305,7 @@ def _extent_box(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode) -> Boundary:
 
 
 def _box(low: Array, high: Array) -> Array:
-    """(4, 4) matrix that takes [-1, 1]^3 to the box between two corners."""
+    """Matrix (4, 4) from the cube of half size 1 to the box between two corners."""
     box = scaled(*((high - low) / 2.0))
     box[:3, 3] = (low + high) / 2.0
     return box
@@ -325,16 +328,13 @@ def _mesh_boundary(vertices: Array, faces: npt.NDArray[np.int64], path: object) 
 
 
 def _cuboid(points: Array) -> Array | None:
-    """(4, 4) matrix that takes [-1, 1]^3 to a closed mesh of 8 corners, if it is a box: tools that know no Cube write
-    such a mesh.
-    """
+    """Matrix from the cube of half size 1 to a box that a tool without cubes wrote as a mesh; None for other meshes."""
     if len(points) != 8:
         return None
     centre = points.mean(axis=0)
     by_distance = points[np.argsort(((points - points[0]) ** 2).sum(axis=1))]
-    for second in range(
-        2, 5
-    ):  # the nearest is a neighbour, the second of three is among the next, and the third among the five nearest
+    # the nearest corner is a neighbour, the second neighbour among the next three, the third among the five nearest
+    for second in range(2, 5):
         for third in range(second + 1, 6):
             edges = by_distance[[1, second, third]] - points[0]
             signs = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
@@ -381,8 +381,11 @@ def _medium(
     grid: DensityGrid | None = None,
     densest: float = 1.0,
 ) -> FogMedium:
-    """What fills a boundary; with a `grid` of its own, whose 1 stands for the density `densest`, whatever profile is
-    authored.
+    """The medium within a boundary.
+
+    Args:
+        grid: of an OpenVDB volume, whatever profile is authored.
+        densest: the density that 1 stands for in this grid.
     """
     values, authored = attributes.values, attributes.attribute_of
 
@@ -390,25 +393,7 @@ def _medium(
         value = values[name].path if isinstance(values[name], Sdf.AssetPath) else values[name]
         return StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {value!r}; {allowed}")
 
-    for name, words in (("phase", PHASES), ("profile", PROFILES)):
-        if values[name] not in words:
-            raise fault(name, f"it takes {', '.join(words)}.{did_you_mean(values[name], words)}")
-    ranges: list[tuple[str, Any, str]] = [
-        ("mor", values["mor"] > 0.0, "a visibility is above 0 m"),
-        ("sigma_t", values["sigma_t"] is None or values["sigma_t"] >= 0.0, "an extinction is 0 1/m or more"),
-        ("contrast", 0.0 < values["contrast"] < 1.0, "a contrast threshold lies between 0 and 1; the WMO's is 0.05"),
-        ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
-        ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
-        ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
-        (
-            "angstrom",
-            ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1],
-            f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0",
-        ),
-    ]
-    for name, fits, allowed in ranges:
-        if not fits:
-            raise fault(name, allowed)
+    _check_ranges(attributes, fault)
     phase = _phase(attributes, fault, notes)
     if values["angstrom"] != 0.0:
         notes.info(
@@ -416,11 +401,9 @@ def _medium(
             "its Angstrom exponent shows in 8, 16 or 31 wavelength bands; R, G and B all get the extinction at 550 nm",
         )
     profile: Any = values["profile"] if grid is None else "grid"
-    if grid is not None:
-        pass
-    elif profile == "grid":
+    if grid is None and profile == "grid":
         grid = _density_grid(values["densityGrid"], stage, fault)
-    elif "densityGrid" in authored:
+    elif grid is None and "densityGrid" in authored:
         notes.warn(
             attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
         )
@@ -450,7 +433,32 @@ def _medium(
         ) from problem
 
 
-Fault = Callable[[str, str], StageError]
+def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
+    """Refuse values of fog attributes that have no meaning.
+
+    Raises:
+        StageError: by `fault`.
+    """
+    values = attributes.values
+    for name, words in (("phase", PHASES), ("profile", PROFILES)):
+        if values[name] not in words:
+            raise fault(name, f"it takes {', '.join(words)}.{did_you_mean(values[name], words)}")
+    ranges: list[tuple[str, bool, str]] = [
+        ("mor", values["mor"] > 0.0, "a visibility is above 0 m"),
+        ("sigma_t", values["sigma_t"] is None or values["sigma_t"] >= 0.0, "an extinction is 0 1/m or more"),
+        ("contrast", 0.0 < values["contrast"] < 1.0, "a contrast threshold lies between 0 and 1; the WMO's is 0.05"),
+        ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
+        ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
+        ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
+        (
+            "angstrom",
+            ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1],
+            f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0",
+        ),
+    ]
+    for name, fits, allowed in ranges:
+        if not fits:
+            raise fault(name, allowed)
 
 
 def _phase(attributes: FogAttributes, fault: Fault, notes: Diagnostics) -> Phase | None:
@@ -509,16 +517,16 @@ def fog_box(
         closed: it is neither drawn nor fog.
     """
     words = f"{prim.GetPath()} {material.GetPath().name}".lower()
-    meant = any(word in words for word in ("fog", "mist", "haze")) or any(
+    named = any(word in words for word in ("fog", "mist", "haze")) or any(
         output.GetAttr().IsAuthored() for output in material.GetVolumeOutputs()
     )
-    if not meant and not is_blender:
+    if not named and not is_blender:
         return False
     polygons = read_mesh(prim, time, notes)
-    made = part(polygons, None) if polygons is not None else None
-    if made is not None and is_closed(made.positions, made.faces):
+    triangles = part(polygons, None) if polygons is not None else None
+    if triangles is not None and is_closed(triangles.positions, triangles.faces):
         return True
-    if meant:
+    if named:
         notes.warn(
             prim.GetPath(),
             "a volume's mesh that is not closed is left out: close it, and author synfog:fog:mor on it for fog",
@@ -528,19 +536,19 @@ def fog_box(
 
 
 def rtx_fog(stage: Usd.Stage, notes: Diagnostics) -> None:
-    """Note Omniverse's fog, a colour laid over the distance after rendering, of which no visibility can be told."""
+    """Note Omniverse's fog, a colour laid over the distance after rendering, which has no visibility."""
     settings = stage.GetRootLayer().customLayerData.get("renderSettings", {})
-    found = {name: settings[name] for name in settings if str(name).startswith("rtx:fog:")}
+    fog = {name: settings[name] for name in settings if str(name).startswith("rtx:fog:")}
     where = ""
     for prim in stage.Traverse():
         if prim.GetTypeName() == "RenderSettings":
             named = {attribute.GetName(): attribute.Get() for attribute in prim.GetAuthoredAttributes()}
-            own = {name[name.index("rtx:fog:") :]: value for name, value in named.items() if "rtx:fog:" in name}
-            where = str(prim.GetPath()) if own else where
-            found |= own
-    if not found or not found.get("rtx:fog:enabled", True):
+            on_prim = {name[name.index("rtx:fog:") :]: value for name, value in named.items() if "rtx:fog:" in name}
+            where = str(prim.GetPath()) if on_prim else where
+            fog |= on_prim
+    if not fog or not fog.get("rtx:fog:enabled", True):
         return
-    end = found.get("rtx:fog:fogEndDist")
+    end = fog.get("rtx:fog:fogEndDist")
     metres = (
         float(end) * UsdGeom.GetStageMetersPerUnit(stage)
         if isinstance(end, (int, float)) and math.isfinite(end) and end > 0
@@ -632,10 +640,10 @@ def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes:
 
 
 def _one_array(path: Path) -> npt.NDArray[Any]:
-    """The array of a file, without running what it may hold or filling the memory before its size is known."""
+    """The array of a file, without running code in it, and of a size that is known before it is read."""
     if path.suffix == ".npy":
-        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-        return found
+        array: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        return array
     with np.load(path, allow_pickle=False) as archive:
         if len(archive.files) != 1:
             raise ParameterError(

@@ -17,7 +17,6 @@ from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
 from synfog_usd.stage.schema import PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.drawmode import MODES, replaces
 from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.lanes import TYPE as LANE_TYPE
 from synfog_usd.translate.space import FAR, columns
@@ -26,13 +25,11 @@ from synfog_usd.translate.volume import vdb_fault
 MAX_LEAVES = 5_000_000
 """Prims that are drawn, instances counted; a file of 2 kB can ask for more by doubling references."""
 
-MESHES = frozenset({"Mesh", "TetMesh"})
-CURVES = frozenset({"BasisCurves", "HermiteCurves", "NurbsCurves"})
-DRAWN = (
-    frozenset({"Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"})
-    | MESHES
-    | CURVES
-    | {"NurbsPatch", "Points"}
+DRAWN = frozenset(
+    {
+        *("Mesh", "BasisCurves", "Points"),
+        *("Cube", "Sphere", "Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1", "Plane"),
+    }
 )
 _LIGHTS = frozenset(
     {"DomeLight", "DomeLight_1", "DistantLight", "SphereLight", "RectLight", "DiskLight", "CylinderLight"}
@@ -62,9 +59,9 @@ _PASSED = frozenset({"", "Xform", "Scope", "SkelRoot", "Camera", "OpenVDBAsset",
 _PURPOSES = ("default", "render", "proxy", "guide")
 _USUAL = frozenset({"default", "render"})
 _SHOWN = ("inherited", "visible", "invisible")
-_SAID = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayOpacity", "model:drawMode"}
-_SAID_BEGINNINGS = (PREFIX, "userProperties:synfog")
-"""Properties that mean something to the walk, by their names and by how these begin."""
+_READ = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayOpacity", "model:drawMode"}
+_READ_BEGINNINGS = (PREFIX, "userProperties:synfog")
+"""Properties that the walk reads, by their names and by the beginnings of these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +81,7 @@ class Leaf:
     Attributes:
         prim: the prim, of the stage or of a prototype.
         path: its path.
-        kind: name of its type, or the draw mode by which it stands for a model.
+        kind: name of its type.
         authored: names of its authored properties.
         schemas: names of the API schemas applied to it.
         matrix: (4, 4) float64, to stage coordinates or to the group's frame.
@@ -152,7 +149,7 @@ class GroupInstance:
 
 @dataclass(slots=True)
 class Walk:
-    """All that was found."""
+    """Everything that a stage shows, and where."""
 
     leaves: list[Leaf] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
@@ -162,7 +159,7 @@ class Walk:
     sheer: bool = False
     """Whether any prim has a displayOpacity."""
     clipped: bool = False
-    """Whether any prim has value clips, by which others hold what no spec of theirs says."""
+    """Whether any prim has value clips, by which prims have values that none of their specs holds."""
 
 
 @dataclass(slots=True)
@@ -170,7 +167,7 @@ class _State:
     """What holds at a prim and below it."""
 
     depth: int
-    drawn: bool
+    shown: bool
     purpose: str = "default"
     hidden: frozenset[str] = frozenset()
     authored: frozenset[str] = frozenset()
@@ -180,14 +177,13 @@ class _State:
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
-    mode: str = ""
 
 
 def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Walk:
     """Everything that can be seen, shines or is fog, once.
 
-    Invisible and inactive prims and those of purpose guide and proxy, or of what the render settings do not include,
-    are left out, except for fog boundaries, whose purpose does not count.
+    Invisible and inactive prims are left out, and prims of a purpose that the render settings do not include; by
+    default these are guide and proxy.  The purpose of a fog boundary does not count.
 
     Raises:
         StageError: nested deeper than `MAX_DEPTH` or more than `MAX_LEAVES` prims.
@@ -200,15 +196,15 @@ class _Walker:
         self.stage, self.time, self.notes = stage, time, notes
         self.transforms = UsdGeom.XformCache(time)
         self.result = Walk()
-        self.known_names: dict[tuple[str, ...], tuple[frozenset[str], bool, bool]] = {}
-        self.known_schemas: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self.properties: dict[tuple[str, ...], tuple[frozenset[str], bool, bool]] = {}
+        self.schemas: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.group_index: dict[tuple[object, ...], int] = {}
         self.open_groups: list[str] = []
         self.count = 0
         self.included = _included(stage, notes)
 
     def run(self) -> Walk:
-        self.into(self.stage.GetPseudoRoot(), _State(-1, drawn="default" in self.included), None, None)
+        self.into(self.stage.GetPseudoRoot(), _State(-1, shown="default" in self.included), None, None)
         return self.result
 
     def into(self, root: Usd.Prim, start: _State, group: Group | None, frame: Usd.Prim | None) -> None:
@@ -237,11 +233,7 @@ class _Walker:
                 iterator.PruneChildren()
                 continue
             stack.append(state)
-            if state.mode in MODES and not prim.IsPrototype() and replaces(prim, state.mode):
-                if state.drawn:
-                    self.leaf(prim, path, state.mode, state, stack[-2], group, frame)
-                iterator.PruneChildren()
-            elif kind not in DRAWN and prim.IsInstance():
+            if kind not in DRAWN and prim.IsInstance():
                 self.instance(prim, state, group, frame)
                 iterator.PruneChildren()
             elif kind == "PointInstancer":
@@ -250,86 +242,69 @@ class _Walker:
             elif kind == "BasisCurves" and group is None and LANE_TYPE in state.authored:
                 self.result.lanes.append((prim, self.matrix(prim, frame)))
             elif kind not in _PASSED:
-                self.leaf(prim, path, kind, state, stack[-2], group, frame)
+                self.leaf(prim, kind, state, stack[-2], group, frame)
 
     def names(self, prim: Usd.Prim) -> tuple[frozenset[str], bool, bool]:
-        """The names of a prim's authored properties, whether any of them means something to the walk, and whether any
-        moves it.
-        """
+        """The names of a prim's authored properties, whether the walk reads any of them, and whether any moves it."""
         authored = tuple(prim.GetAuthoredPropertyNames())
-        known = self.known_names.get(authored)
-        if known is None:
-            said = any(name in _SAID or name.startswith(_SAID_BEGINNINGS) for name in authored)
+        names = self.properties.get(authored)
+        if names is None:
+            read = any(name in _READ or name.startswith(_READ_BEGINNINGS) for name in authored)
             moved = any(name.startswith("xformOp") for name in authored)
-            known = self.known_names[authored] = (frozenset(authored), said, moved)
-        return known
+            names = self.properties[authored] = (frozenset(authored), read, moved)
+        return names
 
     def entered(
         self, prim: Usd.Prim, at: Sdf.Path, kind: str, depth: int, above: _State, *, is_frame: bool
     ) -> _State | None:
         """The state below a prim, or None where nothing below can be seen."""
-        purpose, hidden, owner, model, fog = above.purpose, above.hidden, above.owner, above.model, None
-        authored, says, moved = self.names(prim)
+        authored, read, moved = self.names(prim)
         if moved:
             self.check_order(prim, at, authored)
         schemas = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
-        schemas = self.known_schemas.setdefault(schemas, schemas)
-        if says and "visibility" in authored:
+        state = replace(
+            above, depth=depth, authored=authored, schemas=self.schemas.setdefault(schemas, schemas), fog=None
+        )
+        if read and "visibility" in authored:
             visibility = prim.GetAttribute("visibility").Get(self.time)
             if self.notes.token(at, "visibility", visibility, ("inherited", "invisible"), "inherited") == "invisible":
                 return None
-        if says and "purpose" in authored:
-            purpose = self.notes.token(at, "purpose", prim.GetAttribute("purpose").Get(), _PURPOSES, "guide")
+        if read and "purpose" in authored:
+            state.purpose = self.notes.token(at, "purpose", prim.GetAttribute("purpose").Get(), _PURPOSES, "guide")
         if schemas:
-            hidden = self.by_schemas(prim, at, kind, schemas, hidden)
-        drawn = purpose in self.included and purpose not in hidden
+            state.hidden = self.by_schemas(prim, at, kind, schemas, state.hidden)
+        state.shown = state.purpose in self.included and state.purpose not in state.hidden
         if prim.HasAuthoredMetadata("clips"):
             self.result.clipped = True
         prim_kind = prim.GetMetadata("kind") if prim.HasAuthoredMetadata("kind") else ""
         if prim_kind and not is_frame and Kind.Registry.IsA(prim_kind, Kind.Tokens.component):
-            model = str(at)
-        label = direct_label(prim, self.time) if says and not LABEL_SOURCES.isdisjoint(authored) else None
+            state.model = str(at)
+        if read:
+            self.read_properties(prim, at, kind, prim_kind, state)
+        if (read or schemas) and has_fog_attributes(prim, tuple(authored)):
+            state.fog = prim
+        return state
+
+    def read_properties(self, prim: Usd.Prim, at: Sdf.Path, kind: str, prim_kind: str, state: _State) -> None:
+        """Label, opacity and draw mode of a prim, into the state below it."""
+        label = None if LABEL_SOURCES.isdisjoint(state.authored) else direct_label(prim, self.time)
         if label is not None:
             path, official = str(at), official_name(label)
             if official is None:
                 self.notes.warn(path, f"label {label!r} is not a Cityscapes name; it counts as {UNLABELED}")
             splits = kind == "Scope" or (bool(prim_kind) and Kind.Registry.IsA(prim_kind, Kind.Tokens.group))
-            owner = Owner(path, official or UNLABELED, splits)
-        if says and "primvars:displayOpacity" in authored:
+            state.owner = Owner(path, official or UNLABELED, splits)
+        if "primvars:displayOpacity" in state.authored:
             self.result.sheer = True
-        mode = above.mode
-        if says and "model:drawMode" in authored:
-            own_mode = self.notes.token(
-                at,
-                "model:drawMode",
-                prim.GetAttribute("model:drawMode").Get(self.time) or "inherited",
-                ("inherited", "default", *MODES),
-                "default",
-            )
-            mode = mode if own_mode == "inherited" else own_mode
-        if (says or schemas) and has_fog_attributes(prim, tuple(authored)):
-            fog = prim
-        return _State(
-            depth,
-            drawn,
-            purpose,
-            hidden,
-            authored,
-            schemas,
-            owner,
-            model,
-            fog,
-            above.material,
-            above.stronger,
-            mode,
-        )
+        if "model:drawMode" in state.authored:
+            mode = prim.GetAttribute("model:drawMode").Get(self.time)
+            if mode not in (None, "inherited", "default"):
+                self.notes.info(at, f"draw mode {str(mode)[:40]!r} is not followed: the model itself is drawn")
 
     def by_schemas(
         self, prim: Usd.Prim, at: Sdf.Path, kind: str, schemas: tuple[str, ...], hidden: frozenset[str]
     ) -> frozenset[str]:
-        """The purposes that are hidden at a prim, by its schemas and what is hidden above; lights of no kind are
-        told.
-        """
+        """The purposes that are hidden at a prim, by its schemas and those hidden above it."""
         for name in schemas:
             if name == "VisibilityAPI":
                 hidden = self.hidden_purposes(prim, at)
@@ -350,7 +325,7 @@ class _Walker:
         return frozenset(hidden)
 
     def check_order(self, prim: Usd.Prim, at: Sdf.Path, authored: frozenset[str]) -> None:
-        """Tell of transforms that do not move a prim, and of those that are named and not there."""
+        """Note transforms that do not move a prim, and missing ones that its order names."""
         order = prim.GetAttribute("xformOpOrder").Get() if "xformOpOrder" in authored else None
         if order is None:
             self.notes.warn(at, "has xformOps and no xformOpOrder, without which USD moves nothing; author that too")
@@ -358,7 +333,7 @@ class _Walker:
         lost = [name for name in order if name != "!resetXformStack!" and name.removeprefix("!invert!") not in authored]
         if lost:
             self.notes.warn(at, f"xformOpOrder names {lost[0][:60]!r}, which is not there; the prim stands without it")
-        for name in (one.removeprefix("!invert!") for one in order if "orient" in one):
+        for name in (op.removeprefix("!invert!") for op in order if "orient" in op):
             if not is_finite(_turn(prim.GetAttribute(name).Get(self.time))):
                 self.notes.warn(at, f"{name} holds numbers that are not finite; the prim stands unturned")
 
@@ -382,39 +357,18 @@ class _Walker:
         return columns(matrix)
 
     def leaf(
-        self,
-        prim: Usd.Prim,
-        at: Sdf.Path,
-        kind: str,
-        state: _State,
-        above: _State,
-        group: Group | None,
-        frame: Usd.Prim | None,
+        self, prim: Usd.Prim, kind: str, state: _State, above: _State, group: Group | None, frame: Usd.Prim | None
     ) -> None:
-        is_light = kind in _LIGHTS
+        """Add a prim that is drawn, shines or holds fog; note any other."""
         fog = state.fog
-        if fog is None and kind in DRAWN:
-            parent = prim.GetParent()
-            if above.fog is not None and parent.GetTypeName() == "Xform":
-                siblings = [
-                    child
-                    for child in parent.GetFilteredChildren(Usd.TraverseInstanceProxies())
-                    if child.IsA(UsdGeom.Gprim)
-                ]
-                if len(siblings) == 1:
-                    fog = parent
-                else:
-                    self.notes.warn(
-                        parent.GetPath(),
-                        f"has fog attributes but {len(siblings)} shapes below; put the attributes on the boundary "
-                        f"itself",
-                    )
-        if fog is None and kind == "Volume" and state.drawn and vdb_fault(prim) is None:
+        if fog is None and kind in DRAWN and above.fog is not None:
+            fog = self.fog_above(prim)
+        if fog is None and kind == "Volume" and state.shown and vdb_fault(prim) is None:
             fog = prim
-        if fog is None and not is_light and kind not in DRAWN and kind not in MODES:
+        if fog is None and kind not in _LIGHTS and kind not in DRAWN:
             self.unknown(prim, kind, state)
             return
-        if fog is None and not state.drawn:
+        if fog is None and not state.shown:
             return
         self.count += 1
         self.limit()
@@ -425,9 +379,8 @@ class _Walker:
                 "a prim placed or scaled by a number that is not finite, or of more than 10 digits, is left out",
             )
             return
-        path = str(at)
-        model = state.model or (None if group is not None else path)
-        found = Leaf(
+        path = str(prim.GetPath())
+        leaf = Leaf(
             prim,
             path,
             kind,
@@ -435,19 +388,33 @@ class _Walker:
             state.schemas,
             matrix,
             state.owner,
-            model,
+            state.model or (None if group is not None else path),
             fog,
             state.material,
             state.stronger,
         )
-        (self.result.leaves if group is None else group.leaves).append(found)
+        (self.result.leaves if group is None else group.leaves).append(leaf)
+
+    def fog_above(self, prim: Usd.Prim) -> Usd.Prim | None:
+        """The Xform above a shape, whose fog attributes hold for it where it is the only one below."""
+        parent = prim.GetParent()
+        if parent.GetTypeName() != "Xform":
+            return None
+        children = parent.GetFilteredChildren(Usd.TraverseInstanceProxies())
+        shapes = sum(bool(child.IsA(UsdGeom.Gprim)) for child in children)
+        if shapes == 1:
+            return parent
+        self.notes.warn(
+            parent.GetPath(), f"has fog attributes but {shapes} shapes below; put the attributes on the boundary itself"
+        )
+        return None
 
     def limit(self) -> None:
         if self.count > MAX_LEAVES:
             raise StageError(f"the stage draws more than {MAX_LEAVES} prims, instances counted; make it smaller")
 
     def unknown(self, prim: Usd.Prim, kind: str, state: _State) -> None:
-        if not state.drawn or UsdShade.Material(prim) or not prim.IsA(UsdGeom.Imageable):
+        if not state.shown or UsdShade.Material(prim) or not prim.IsA(UsdGeom.Imageable):
             if prim.HasAPI(UsdLux.LightAPI):
                 self.notes.warn(prim.GetPath(), f"light of type {kind} is not known; it is dark")
             return
@@ -464,16 +431,9 @@ class _Walker:
         prototype = prim.GetPrototype()
         path = str(prim.GetPath())
         index = self.group_of(prototype, state, self.bound(prim, state))
-        self.place(
-            [index],
-            self.matrix(prim, frame)[None],
-            [path],
-            prim,
-            [-1],
-            state,
-            group,
-            own_instance=state.owner is not None and (state.owner.splits or state.owner.path == path),
-        )
+        placed = GroupInstance(index, self.matrix(prim, frame), path, state.owner, state.model or path, prim)
+        own_instance = state.owner is not None and (state.owner.splits or state.owner.path == path)
+        self.place([placed], group, own_instance=own_instance)
 
     def point_instancer(self, prim: Usd.Prim, state: _State, group: Group | None, frame: Usd.Prim | None) -> None:
         instancer = UsdGeom.PointInstancer(prim)
@@ -505,15 +465,18 @@ class _Walker:
                 self.notes.warn(path, f"prototype {targets[number]} is missing or abstract; its points are left out")
                 continue
             groups[number] = self.group_of(prototype, state, self.bound(prim, state))
-        own = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
-        place = self.matrix(prim, frame)
+        own_instance = state.owner is None or state.owner.splits or state.owner.path == path or state.model is None
         all_matrices = np.array(matrices, dtype=np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
         with np.errstate(invalid="ignore"):
-            products = place @ all_matrices
+            products = self.matrix(prim, frame) @ all_matrices
         numbers = np.flatnonzero(shown)
         indices = [groups.get(kind) for kind in which[numbers].tolist()]
-        paths = [f"{path}[{number}]" for number in numbers.tolist()]
-        self.place(indices, products[numbers], paths, prim, numbers.tolist(), state, group, own_instance=own)
+        placed = [
+            GroupInstance(index, matrix, point := f"{path}[{number}]", state.owner, state.model or point, prim, number)
+            for index, matrix, number in zip(indices, products[numbers], numbers.tolist(), strict=True)
+            if index is not None
+        ]
+        self.place(placed, group, own_instance=own_instance)
 
     def bound(self, prim: Usd.Prim, state: _State) -> tuple[str | None, bool]:
         """Path of the material that leaves below an instance inherit from outside, and whether it comes before
@@ -528,18 +491,12 @@ class _Walker:
                 return str(material.GetPath()), strength == UsdShade.Tokens.strongerThanDescendants
         return state.material, False
 
-    def group_of(
-        self,
-        prototype: Usd.Prim,
-        state: _State,
-        bound: tuple[str | None, bool],
-    ) -> int:
+    def group_of(self, prototype: Usd.Prim, state: _State, bound: tuple[str | None, bool]) -> int:
         """Index of the group of a prototype, walked at its first use."""
         root = str(prototype.GetPath())
-        key = (root, bound, state.purpose, state.hidden, state.mode)
-        known = self.group_index.get(key)
-        if known is not None:
-            return known
+        key = (root, bound, state.purpose, state.hidden)
+        if key in self.group_index:
+            return self.group_index[key]
         if root in self.open_groups:
             raise StageError(f"{root}: an instancer whose prototype holds the instancer itself")
         if len(self.open_groups) > 64:
@@ -547,85 +504,64 @@ class _Walker:
         self.open_groups.append(root)
         group = Group(root)
         depth = prototype.GetPath().pathElementCount
-        self.into(
-            prototype,
-            _State(
-                depth - 1,
-                state.drawn,
-                state.purpose,
-                state.hidden,
-                material=bound[0],
-                stronger=bound[1],
-                mode=state.mode,
-            ),
-            group,
-            prototype,
-        )
+        material, stronger = bound
+        start = _State(depth - 1, state.shown, state.purpose, state.hidden, material=material, stronger=stronger)
+        self.into(prototype, start, group, prototype)
         self.open_groups.pop()
-        group.total = len(group.leaves) + 1 + sum(self.result.groups[one.group].total for one in group.inner)
+        group.total = len(group.leaves) + 1 + sum(self.result.groups[inner.group].total for inner in group.inner)
         self.group_index[key] = len(self.result.groups)
         self.result.groups.append(group)
         return self.group_index[key]
 
-    def place(
-        self,
-        indices: list[int | None],
-        matrices: Array,
-        paths: list[str],
-        source: Usd.Prim,
-        numbers: list[int],
-        state: _State,
-        group: Group | None,
-        *,
-        own_instance: bool,
-    ) -> None:
-        """Instances of groups, None for none, at (N, 4, 4) places, by an instance or the points of an instancer."""
-        owner, model = state.owner, state.model
-        standing = _stand(matrices).tolist()
-        for index, matrix, path, number, stands in zip(indices, matrices, paths, numbers, standing, strict=True):
-            if index is None:
-                continue
+    def place(self, instances: list[GroupInstance], group: Group | None, *, own_instance: bool) -> None:
+        """Add the instances of one prim or point instancer that stand somewhere.
+
+        Args:
+            own_instance: whether each is an instance of its own for labels, or part of what is labelled above.
+        """
+        standing = _stand(np.array([instance.matrix for instance in instances]).reshape(-1, 4, 4)).tolist()
+        for instance, stands in zip(instances, standing, strict=True):
             if not stands:
                 self.notes.warn(
-                    path,
+                    instance.path,
                     "an instance scaled to nothing, or placed at no finite point or at one of more than 10 digits, is "
                     "left out",
                 )
                 continue
-            whose = Owner(path, owner.label) if owner is not None and own_instance else owner
-            placed = GroupInstance(index, matrix, path, whose, model or path, source, number)
+            if instance.owner is not None and own_instance:
+                instance.owner = Owner(instance.path, instance.owner.label)
             if group is not None:
-                group.inner.append(placed)
+                group.inner.append(instance)
                 continue
-            self.count += self.result.groups[index].total
+            self.count += self.result.groups[instance.group].total
             self.limit()
-            self.put(placed)
+            self.put(instance)
 
-    def put(self, placed: GroupInstance) -> None:
+    def put(self, outermost: GroupInstance) -> None:
         """An instance, and those within it, on the stage: Mitsuba knows one level of instances."""
-        waiting = [placed]
+        waiting = [outermost]
         while waiting:
-            one = waiting.pop()
-            found = self.result.groups[one.group]
-            if found.leaves:
-                self.result.placements.append(one)
-            waiting += [_within(one, inner, found.root) for inner in reversed(found.inner)]
+            instance = waiting.pop()
+            group = self.result.groups[instance.group]
+            if group.leaves:
+                self.result.placements.append(instance)
+            waiting += [_within(instance, inner, group.root) for inner in reversed(group.inner)]
 
 
 def _included(stage: Usd.Stage, notes: Diagnostics) -> frozenset[str]:
     """The purposes that are drawn: default and render, or what the render settings include."""
     settings = UsdRender.Settings.GetStageRenderSettings(stage)
-    asked = list(settings.GetIncludedPurposesAttr().Get() or ()) if settings else []
-    known = frozenset(asked) & frozenset(_PURPOSES)
-    if settings and known != frozenset(asked):
+    authored = frozenset(settings.GetIncludedPurposesAttr().Get() or ()) if settings else frozenset()
+    purposes = authored & frozenset(_PURPOSES)
+    if purposes != authored:
         notes.warn(
             settings.GetPath(),
-            f"includedPurposes has {', '.join(sorted(set(asked) - known))[:60]!r}; it takes {', '.join(_PURPOSES)}",
+            f"includedPurposes has {', '.join(sorted(authored - purposes))[:60]!r}; it takes {', '.join(_PURPOSES)}",
         )
-    if not known or known == _USUAL:
+    if not purposes or purposes == _USUAL:
         return _USUAL
-    notes.info(settings.GetPath(), f"prims of the purposes {', '.join(sorted(known))} are drawn (includedPurposes)")
-    return known
+    notes.info(settings.GetPath(), f"prims of the purposes {', '.join(sorted(purposes))} are drawn (includedPurposes)")
+    return purposes
 
 
 def _turn(value: object) -> list[float] | None:

@@ -191,7 +191,7 @@ def test_a_reference_in_other_units_wants_a_scale(tmp_path, asset, scale, warned
     notes = unit_notes(open_stage(tmp_path / "a.usda"))
     assert [note.path for note in notes] == (["/World/Car"] if warned else [])
     assert all(
-        "car.usda, which is in units of 0.01 m and the stage of 1 m" in note.text and "scale it by 0.01" in note.text
+        "car.usda, in units of 0.01 m where the stage has 1 m" in note.text and "scale it by 0.01" in note.text
         for note in notes
     )
 
@@ -261,5 +261,5 @@ def test_a_type_that_usd_does_not_know_is_told_though_it_has_a_value():
     """`uble height = 0.7`, of which a letter was lost: asked for its type's default, the library died."""
     stage = Usd.Stage.CreateInMemory()
     stage.GetRootLayer().ImportFromString('#usda 1.0\ndef Cone "A"\n{\n    uble height = 0.7\n}\n')
-    ((attribute, text),) = mistyped(stage)
-    assert attribute.GetName() == "height" and "a type that USD does not know" in text
+    (text,) = mistyped(stage)
+    assert text.startswith("/A.height is of a type that USD does not know")

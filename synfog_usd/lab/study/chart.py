@@ -545,7 +545,6 @@ def _write(result: Chart, out: Path) -> None:
 def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     """The one shot, translated, and its name."""
     from synfog_usd import stage as usd
-    from synfog_usd.render.load import refusal
     from synfog_usd.translate import translate
 
     stage = usd.open_stage(plan.stage, allow=plan.allow)
@@ -562,11 +561,5 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
         shot = replace(shot, lighting=AS_AUTHORED, lighting_variant=None)
     usd.select(stage, fog=shot.fog_variant, lighting=shot.lighting_variant)
     named = ", ".join(name for name in (shot.lighting, shot.fog) if name != AS_AUTHORED)
-    scene = translate(
-        stage,
-        camera=plan.camera,
-        resolution=plan.size,
-        fog=shot.fog_override,
-        refusal=functools.partial(refusal, variant=plan.variant),  # type: ignore[arg-type]
-    )
+    scene = translate(stage, camera=plan.camera, resolution=plan.size, fog=shot.fog_override)
     return scene, named or "as authored"
