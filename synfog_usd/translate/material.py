@@ -130,8 +130,10 @@ class Materials:
             curve = spectrum.reflectance(material.GetPrim(), bsdf, self.time, self.notes, self._mean)
             if curve is None:
                 return finish
-            plain = None if finish.plain is None else self._add(self.bsdfs[finish.plain], curve)
-            return replace(finish, key=self._add(bsdf, curve), plain=plain)
+            key = self._add(bsdf, curve)
+            return replace(
+                finish, key=key, plain=None if finish.plain is None else self._add(self.bsdfs[finish.plain], curve)
+            )
         except _UNREADABLE as problem:
             reason = str(problem).strip().splitlines()[-1:] or [type(problem).__name__]
             self.notes.warn(
