@@ -7,11 +7,14 @@ the library of MaterialX reads the file.  Files that this one includes are not r
 from __future__ import annotations
 
 import functools
+import io
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdShade
@@ -27,8 +30,11 @@ if TYPE_CHECKING:
 MAX_BYTES = 16 << 20
 """Largest file that is read [byte]; the largest of public libraries has 2 MB."""
 
+MAX_ELEMENTS = 50_000
+"""Most elements of a file; the library takes the square of their number."""
+
 MAX_DEPTH = 32
-"""Inputs of node graphs within each other that are followed."""
+"""Most levels of nested elements, and of inputs of node graphs within each other."""
 
 ENDING = ".usda"
 """Ending that the name of a layer in memory has behind that of its file."""
@@ -157,12 +163,36 @@ def _text(file: str) -> str:
     if asset.GetSize() > MAX_BYTES:
         raise _NoMaterialXError(f"{asset.GetSize()} bytes; at most {MAX_BYTES} are read")
     data = bytes(asset.GetBuffer() or b"")
+    _check(data)
     declared = re.match(rb"""\s*<\?xml[^>]*encoding\s*=\s*["']([\w.-]+)""", data)
-    encoding = declared[1].decode() if declared else "utf-8"
+    encoding = "utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else declared[1].decode() if declared else "utf-8"
     try:
-        return data.decode("utf-8-sig" if encoding.lower() == "utf-8" else encoding)
+        text = data.decode("utf-8-sig" if encoding.lower() == "utf-8" else encoding)
     except (UnicodeDecodeError, LookupError):
         raise _NoMaterialXError(f"not {encoding}, in which it says to be") from None
+    if "<!DOCTYPE" in text:
+        raise _NoMaterialXError("it declares a document type, which no MaterialX file needs")
+    return text
+
+
+def _check(data: bytes) -> None:
+    """Refuse XML with too many elements, or nested too deeply.
+
+    Raises:
+        _NoMaterialXError: it is, or no XML at all.
+    """
+    depth = 0
+    try:
+        for number, (event, element) in enumerate(ElementTree.iterparse(io.BytesIO(data), ("start", "end"))):
+            depth += 1 if event == "start" else -1
+            if not number and element.tag != "materialx":
+                raise _NoMaterialXError(f"its root element is {element.tag[:40]!r}, and not 'materialx'")
+            if depth > MAX_DEPTH or number > 2 * MAX_ELEMENTS:
+                raise _NoMaterialXError(f"more than {MAX_ELEMENTS} elements, or nested deeper than {MAX_DEPTH} levels")
+            if event == "end":
+                element.clear()
+    except (ElementTree.ParseError, LookupError, ValueError) as problem:
+        raise _NoMaterialXError(f"no XML: {problem}") from None
 
 
 def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:

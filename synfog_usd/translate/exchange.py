@@ -88,9 +88,7 @@ class Exchange:
         now = self._read(stage, fog, Outlook(posed, time, space, eye, walk(posed, time, Diagnostics())))
         if not self._differs_in_fog(now):
             return None
-        neighbours = (
-            neighbour for neighbour in (self.scene.camera, *self.scene.further_cameras) if neighbour.path != camera
-        )
+        cameras = (self.scene.camera, *self.scene.further_cameras)
         of_scene = (note for note in self.scene.notes if note.path != self.scene.camera.path)
         of_camera = notes.closed(lambda path: authored_path(stage, path))
         return replace(

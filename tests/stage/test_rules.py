@@ -7,7 +7,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 from support.looks import fill
 
-from synfog_usd.stage import check, open_stage, reference
+from synfog_usd.stage import check, reference
 from synfog_usd.stage.rules import SIZES_M
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -174,61 +174,6 @@ def test_a_scaled_lamp_has_the_square_of_its_scale_in_light(sound, scale, bright
     lamp = fill(UsdLux.SphereLight.Define(stage, "/World/Lamp"), radius=1.0, intensity=2e7 / (4 * math.pi**2))
     lamp.AddScaleOp().Set((scale,) * 3)
     assert found(stage) == ({("light-bright", "/World/Lamp")} if bright else set())
-
-
-def test_a_stage_lit_by_less_than_the_moon_is_found(sound):
-    """A dome of intensity L gives pi L lux."""
-    stage = sound()
-    sky = UsdLux.DomeLight(stage.GetPrimAtPath("/World/Sky"))
-    sky.GetIntensityAttr().Set(0.29 / math.pi)
-    assert found(stage) == {("light-dim", "")}
-    sky.GetIntensityAttr().Set(0.31 / math.pi)
-    assert found(stage) == set()
-
-
-@pytest.mark.parametrize("kind, up, pole, turn, found_it", [
-    ("DomeLight", "Z", None, 0, True),
-    ("DomeLight", "Z", None, 90, False),
-    ("DomeLight", "Y", None, 0, False),
-    ("DomeLight", "Y", None, 90, True),
-    ("DomeLight_1", "Z", None, 0, False),
-    ("DomeLight_1", "Z", "Y", 0, True),
-    ("DomeLight_1", "Y", "Z", 0, True),
-    ("DomeLight_1", "Z", "Z", 3, False),
-    ("DomeLight_1", "Z", "Z", 8, True),
-])  # fmt: skip
-def test_a_sky_map_that_stands_on_edge_is_found(sound, kind, up, pole, turn, found_it):
-    """The map's top is local +Y, or poleAxis; a plain colour has no top."""
-    stage = sound()
-    UsdGeom.SetStageUpAxis(stage, up)
-    dome = stage.DefinePrim("/World/Map", kind)
-    UsdGeom.Xformable(dome).AddRotateXOp().Set(float(turn))
-    if pole is not None:
-        dome.GetAttribute("poleAxis").Set(pole)
-    assert not [one for one in found(stage) if one[0] == "dome-pole"]
-    dome.GetAttribute("inputs:texture:file").Set("sky.exr")
-    assert (("dome-pole", "/World/Map") in found(stage)) == found_it
-
-
-def test_a_variant_that_a_local_value_beats_is_found(tmp_path):
-    """LIVRPS: local before variants."""
-    text = """#usda 1.0
-def Xform "World" ( variants = { string fog = "a" } prepend variantSets = "fog" ) {
-    def Cube "Fog" ( ACTIVE prepend apiSchemas = ["SynFogMediumAPI"] ) { LOCAL }
-    variantSet "fog" = { "a" { over "Fog" ( active = false ) { float synfog:fog:mor = 50 } } }
-}
-"""
-    for mark in (" }", "{ ", "( ", " )", '" prepend', "} prepend"):
-        text = text.replace(mark, mark.replace(" ", "\n"))
-    cases = (
-        ("float synfog:fog:mor = 300", "", ["/World/Fog.synfog:fog:mor"]),
-        ("float synfog:fog:g = 0.8", "", []),
-        ("float synfog:fog:g = 0.8", "active = true\n", ["/World/Fog"]),
-    )
-    for number, (local, active, wanted) in enumerate(cases):
-        path = tmp_path / f"{number}.usda"
-        path.write_text(text.replace("LOCAL", local).replace("ACTIVE ", active))
-        assert [one.path for one in check(open_stage(path)) if one.rule == "variant-shadowed"] == wanted
 
 
 def test_the_page_of_the_rules_is_fresh():

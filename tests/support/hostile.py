@@ -269,7 +269,7 @@ def Xform "More" (prepend apiSchemas = ["GeomModelAPI"]) {
     def Material "Paint" {
         token outputs:mtlx:surface.connect = </More/Paint/Surface.outputs:out>
         def Shader "Surface" {
-            uniform token info:id = "ND_disney_principled"
+            uniform token info:id = "ND_gltf_pbr_surfaceshader"
             color3f inputs:baseColor = (0.5, 0.2, 0.1)
             float inputs:clearcoat = 0.5
             float inputs:clearcoatGloss = 0.9
@@ -286,7 +286,7 @@ def Xform "More" (prepend apiSchemas = ["GeomModelAPI"]) {
         token outputs:mdl:surface.connect = </More/Metal/Surface.outputs:out>
         def Shader "Surface" {
             uniform token info:implementationSource = "sourceAsset"
-            uniform token info:mdl:sourceAsset:subIdentifier = "OmniSurface"
+            uniform token info:mdl:sourceAsset:subIdentifier = "OmniPBR"
             color3f inputs:diffuse_reflection_color = (0.5, 0.2, 0.1)
             float inputs:diffuse_reflection_weight = 0.7
             float inputs:metalness = 0.5

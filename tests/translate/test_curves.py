@@ -5,7 +5,7 @@ from math import comb
 import numpy as np
 import pytest
 from pxr import Sdf, UsdGeom
-from scipy.interpolate import BSpline, CubicHermiteSpline
+from scipy.interpolate import BSpline
 from support.looks import fill, painted, shade
 
 from synfog_usd.translate import translate
@@ -133,22 +133,6 @@ def test_broken_curves_are_left_out_with_a_note(empty, change):
     scene = translate(stage)
     assert not any(key.startswith("shape_") for key in scene.world)
     assert [note.severity for note in scene.notes if note.path == "/Curves"] == ["warning"]
-
-
-def test_hermite_curves_meet_their_points_with_their_tangents(empty, only_shape):
-    """Between points the curve is SciPy's cubic of the same values and slopes."""
-    stage = empty()
-    tangents = np.array([(1, 0, 3), (2, 0, 0), (1, 1, -3)], dtype=float)
-    points = np.array([(0, 5, 0), (1, 5, 1), (3, 5, 0)], dtype=float)
-    curves = UsdGeom.HermiteCurves.Define(stage, "/Curves")
-    fill(curves, points=points.tolist(), tangents=tangents.tolist(), curveVertexCounts=[3], widths=[0.02, 0.04, 0.02])
-    curves.SetWidthsInterpolation("vertex")
-    middle, radius = rings(only_shape(translate(stage)), 8)
-    t = np.linspace(0, 2, 13)
-    np.testing.assert_allclose(middle, CubicHermiteSpline([0, 1, 2], points, tangents)(t), atol=1e-5)
-    np.testing.assert_allclose(
-        radius / radius[6], 1 - 0.5 * np.abs(t - 1), rtol=2e-3
-    )  # rings are measured from vertices in float32
 
 
 @pytest.mark.parametrize("name", ["normals", "primvars:normals"])

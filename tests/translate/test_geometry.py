@@ -5,8 +5,9 @@ import pytest
 from pxr import Gf, Sdf, UsdGeom, UsdShade
 from support.looks import fill, painted, picture_of, write
 
+from synfog_usd.base.errors import StageError
 from synfog_usd.stage import open_stage
-from synfog_usd.translate import subdivide, summary, translate
+from synfog_usd.translate import subdivide, translate
 from synfog_usd.translate.polygons import triangulate
 
 ONE = np.array([0])
@@ -226,24 +227,6 @@ def test_normals_stand_upright_under_uneven_scale(empty, polygon_mesh, only_shap
     np.testing.assert_allclose(shape["normals"][faces[0, 0]], flat / np.linalg.norm(flat), atol=1e-6)
 
 
-def test_bilinear_patches_lie_on_their_saddle(empty, polygon_mesh, only_shape, tmp_path):
-    """A quad over the unit square with heights x z is the paraboloid y = x z everywhere."""
-    stage = empty()
-    flat = [(x, z) for z in (0.0, 1.0) for x in (0.0, 1.0, 2.0)]
-    mesh = polygon_mesh(
-        stage, "/Saddle", [(x, 5.0 + min(x, 1.0) * z, z) for x, z in flat], [4, 4], [0, 1, 4, 3, 1, 2, 5, 4]
-    )
-    mesh.GetSubdivisionSchemeAttr().Set("bilinear")
-    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("uv", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
-    primvar.Set([flat[k] for k in (0, 1, 4, 3, 1, 2, 5, 4)])
-    bind_texture(stage, mesh, tmp_path, "uv")
-    shape = only_shape(translate(stage))
-    x, y, z = shape["positions"].astype(float).T
-    assert len(shape["faces"]) == 2 * 2 * 4**3 and shape["face_normals"]
-    np.testing.assert_allclose(y, 5.0 + np.minimum(x, 1.0) * z, atol=1e-6)
-    np.testing.assert_allclose(shape["texcoords"], np.stack([x, z], axis=1), atol=1e-6)
-
-
 def test_a_subdivided_cube_touches_its_limit(empty, polygon_mesh, only_shape):
     """Corner of valence 3: (9 v + 4 sum(e) + sum(f)) / 24 = (9 + 4 - 1) / 24; axes: 68 / 81, from one step by hand and
     the mask of valence 4.
@@ -292,19 +275,17 @@ def test_coordinates_and_holes_follow_a_subdivided_mesh(
 @pytest.mark.parametrize(
     "interpolation, at_the_point, at_a_middle", [("varying", 1.0, 0.25), ("vertex", 16 / 36, None)]
 )
-@pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
 def test_varying_values_run_evenly_within_the_faces(
-    empty, polygon_mesh, only_shape, scheme, interpolation, at_the_point, at_a_middle
+    empty, polygon_mesh, only_shape, interpolation, at_the_point, at_a_middle
 ):
-    """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it:
-    to 16/36, by Loop to a half.
+    """A spike of 1 on one inner point: 'varying' keeps it, with a quarter at the middles of quads; 'vertex' smooths it
+    to 16/36.
     """
     stage = empty()
     points = [(x, 5, z) for z in range(5) for x in range(5)]
     quads = [(5 * z + x, 5 * z + x + 1, 5 * z + x + 6, 5 * z + x + 5) for z in range(4) for x in range(4)]
-    faces = quads if scheme == "catmullClark" else [part for a, b, c, d in quads for part in ((a, b, c), (a, c, d))]
-    mesh = polygon_mesh(stage, "/Sheet", points, [len(face) for face in faces], [k for face in faces for k in face])
-    mesh.GetSubdivisionSchemeAttr().Set(scheme)
+    mesh = polygon_mesh(stage, "/Sheet", points, [4] * len(quads), [k for quad in quads for k in quad])
+    mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, interpolation)
     primvar.Set([(0, 0, 0), (1, 1, 1)])
     primvar.SetIndices([int(k == 12) for k in range(25)])
@@ -314,11 +295,10 @@ def test_varying_values_run_evenly_within_the_faces(
     def color(at):
         return shape["vertex_color"][np.argmin((x - at[0]) ** 2 + (z - at[1]) ** 2), 0]
 
-    wanted = 0.5 if (scheme, interpolation) == ("loop", "vertex") else at_the_point
-    assert color((2, 2)) == pytest.approx(wanted, abs=1e-6)
+    assert color((2, 2)) == pytest.approx(at_the_point, abs=1e-6)
     if at_a_middle is not None:
         assert color((1.5, 2)) == pytest.approx(0.5, abs=1e-6)
-        assert color((1.5, 2.5)) == pytest.approx(at_a_middle if scheme == "catmullClark" else 0.0, abs=1e-6)
+        assert color((1.5, 2.5)) == pytest.approx(at_a_middle, abs=1e-6)
 
 
 def test_subsets_split_a_mesh_by_material(empty, polygon_mesh):
@@ -365,22 +345,22 @@ def test_a_broken_mesh_is_left_out_with_a_note(empty, polygon_mesh, points, coun
     polygon_mesh(stage, "/Broken", points, counts, indices)
     UsdGeom.Sphere.Define(stage, "/Fine")
     scene = translate(stage)
-    assert summary(scene)["shapes"] == 1
+    assert sum(key.startswith("shape_") for key in scene.world) == 1
     assert [note.severity for note in scene.notes if note.path == "/Broken"] == ["warning"]
 
 
-@pytest.mark.parametrize("scheme", ["catmullClark", "loop"])
-def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape, scheme):
+def test_normals_of_what_is_divided_are_not_used(empty, polygon_mesh, only_shape):
     """A cube that says it is divided is the same limit surface with and without normals of its own."""
-    size = 4 if scheme == "catmullClark" else 3
-    faces = QUADS if size == 4 else [QUADS[q + k] for q in range(0, 24, 4) for k in (0, 1, 2, 0, 2, 3)]
 
     def drawn(*, normals, said=True):
         stage = empty()
-        mesh = polygon_mesh(stage, "/Box", BOX, [size] * (len(faces) // size), faces)
-        mesh.GetSubdivisionSchemeAttr().Set(scheme) if said else mesh.GetPrim().RemoveProperty("subdivisionScheme")
+        mesh = polygon_mesh(stage, "/Box", BOX, [4] * 6, QUADS)
+        if said:
+            mesh.GetSubdivisionSchemeAttr().Set("catmullClark")
+        else:
+            mesh.GetPrim().RemoveProperty("subdivisionScheme")
         if normals:
-            mesh.CreateNormalsAttr([(0, 0, 1)] * len(faces))
+            mesh.CreateNormalsAttr([(0, 0, 1)] * len(QUADS))
             mesh.SetNormalsInterpolation("faceVarying")
         scene = translate(stage)
         return only_shape(scene), " ".join(note.text for note in scene.notes)
@@ -404,17 +384,9 @@ def test_points_of_any_numeric_type_are_points(tmp_path, only_shape, kind):
     np.testing.assert_array_equal(only_shape(scene)["positions"] + np.array(scene.origin_m), SQUARE)
 
 
-def test_an_array_of_a_wrong_type_is_left_out_and_the_rest_is_drawn(tmp_path, only_shape):
-    """It is told by its prim at each translation, and the file stays as it is."""
-    line, name = "float normals = 3", "normals is a float, and a normal3f[] is wanted"
-    stage = opened(tmp_path, f"point3f[] points = {SQUARE}\n    {line}")
-    for _ in range(2):
-        scene = translate(stage)
-        assert len(only_shape(scene)["faces"]) == 2
-        assert [(note.path, note.text.endswith("it is left out")) for note in scene.notes if name in note.text] == [
-            ("/M", True)
-        ]
-    assert line in stage.GetRootLayer().ExportToString() and not stage.GetRootLayer().dirty
+def test_an_array_of_a_wrong_type_is_refused_in_one_line(tmp_path):
+    with pytest.raises(StageError, match=r"^/M.normals is a float, and a normal3f\[\] is wanted; author it"):
+        translate(opened(tmp_path, f"point3f[] points = {SQUARE}\n    float normals = 3"))
 
 
 def opened(tmp_path, body):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pxr import UsdGeom, UsdLux, UsdShade
-from support.looks import SQUARE, TYPES, linear, put, shade, with_st, write
+from support.looks import SQUARE, TYPES, linear, shade, with_st, write
 
 from synfog_usd.render.shot import render
 from synfog_usd.translate import translate
@@ -70,7 +70,6 @@ def test_standard_surface_weighs_its_picture(quad, tmp_path):
 @pytest.mark.parametrize("kind, color, roughness, metal, f0", [
     ("ND_standard_surface_surfaceshader", 0.8, 0.2, 0.0, 0.04),
     ("ND_gltf_pbr_surfaceshader", 1.0, 1.0, 1.0, 0.04),
-    ("ND_disney_principled", 0.16, 0.5, 0.0, 0.04),
 ])  # fmt: skip
 def test_what_is_not_authored_takes_the_nodes_own_defaults(quad, kind, color, roughness, metal, f0):
     """And no light: by their definitions."""
@@ -225,31 +224,6 @@ def test_gltf_glass_is_thin_unless_it_has_a_volume(quad, thickness, kind):
     assert bsdf["bsdf_1"]["specular_transmittance"]["value"] == [0.5, 1.0, 1.0]
 
 
-def test_a_disney_surface_is_drawn_by_its_inputs(quad, tmp_path):
-    """MaterialX's disney_principled: a reflectivity of 8 percent times specular, whatever the index, which is that of
-    smooth glass alone; the coat's roughness is 1 less its gloss.
-    """
-    stage, shader = quad
-    write(tmp_path / "a.png", CODES)
-    shader(
-        "Surface", "ND_disney_principled", "mtlx", baseColor=(0.8, 0.4, 0.2), metallic=0.25, roughness=0.3,
-        specular=0.75, ior=1.2, clearcoat=0.5,
-        clearcoatGloss=image(shader, "Picture", tmp_path / "a.png", kind="ND_image_float", space=""), specTrans=0.5,
-        sheen=0.1,
-    )  # fmt: skip
-    scene, _, bsdf = drawn(stage)
-    inner = bsdf["bsdf_0"]["bsdf"]
-    np.testing.assert_allclose(inner["base_color"]["value"], [0.8, 0.4, 0.2], rtol=1e-6)
-    np.testing.assert_allclose([inner[name] for name in ("metallic", "roughness", "clearcoat")], [0.25, 0.3, 0.5])
-    np.testing.assert_allclose(
-        inner["clearcoat_roughness"]["bitmap"][..., 0], 1 - CODES[..., 0] / 255, rtol=1e-5, atol=1e-6
-    )
-    assert reflectivity(inner["eta"]) == pytest.approx(0.06)
-    assert (bsdf["bsdf_1"]["type"], bsdf["weight"]) == ("dielectric", pytest.approx(0.5 * 0.75))
-    assert bsdf["bsdf_1"]["int_ior"] == pytest.approx(1.2)
-    assert [note.text for note in scene.notes if note.severity == "warning"] == ["sheen is not drawn"]
-
-
 def test_a_preview_surface_in_materialx_is_a_preview_surface(quad):
     """ND_UsdPreviewSurface_surfaceshader has the inputs and defaults of UsdPreviewSurface."""
     stage, shader = quad
@@ -274,54 +248,10 @@ def mdl(shader, file, kind, **inputs):
     return made
 
 
-@pytest.mark.parametrize("kind, mode, nits", [
-    ("OmniSurface", None, 20 / math.pi), ("OmniSurfaceLiteBase", "emission_nt", 20.0), ("OmniSurfaceBase", 1, 20.0),
-])  # fmt: skip
-def test_omnisurface_is_drawn_by_its_constants(quad, kind, mode, nits):
-    """Weights times colours; light in lux is pi times its nits."""
-    stage, shader = quad
-    chosen = {} if mode is None else {"emission_mode": mode}
-    mdl(
-        shader, "OmniSurface.mdl", kind, diffuse_reflection_weight=0.5, diffuse_reflection_color=(0.8, 0.4, 0.2),
-        metalness=0.25, specular_reflection_roughness=0.3, specular_reflection_ior=1.4,
-        specular_reflection_ior_preset=99, coat_weight=0.6, emission_weight=0.5, emission_intensity=40.0,
-        emission_color=(1.0, 0.5, 0.25), specular_transmission_weight=1.0, geometry_opacity=0.3,
-        geometry_normal=(0, 0, 0), **chosen,
-    )  # fmt: skip
-    scene, shape, bsdf = drawn(stage)
-    inner = bsdf["bsdf"]
-    assert bsdf["type"] == "twosided"
-    np.testing.assert_allclose(inner["base_color"]["value"], [0.4, 0.2, 0.1], rtol=1e-6)
-    names = ("metallic", "roughness", "eta", "clearcoat", "clearcoat_roughness")
-    np.testing.assert_allclose([inner[name] for name in names], [0.25, 0.3, 1.4, 0.6, 0.1])
-    np.testing.assert_allclose(shape["emitter"]["radiance"]["value"], np.array([1, 0.5, 0.25]) * nits, rtol=1e-6)
-    assert [note.text for note in scene.notes if note.severity == "warning"] == []
-
-
-def test_omnisurface_is_glass_and_cut_out_where_it_is_switched_on(quad, tmp_path):
-    stage, shader = quad
-    write(tmp_path / "a.png", CODES)
-    mdl(
-        shader, "OmniSurface.mdl", "OmniSurface", enable_specular_transmission=True, specular_transmission_weight=1.0,
-        specular_reflection_roughness=0.4, specular_reflection_ior_preset=3, enable_opacity=True, geometry_opacity=0.3,
-        diffuse_reflection_color_image=tmp_path / "a.png",
-    )  # fmt: skip
-    scene, _, bsdf = drawn(stage)
-    assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", pytest.approx(0.3), "roughdielectric")
-    assert bsdf["bsdf"]["alpha"] == pytest.approx(0.16)
-    assert {note.text for note in scene.notes if note.severity == "warning"} == {
-        "diffuse_reflection_color_image of OmniSurface is not drawn; its constant is",
-        "specular_reflection_ior_preset is not drawn; its specular_reflection_ior is",
-    }
-
-
-@pytest.mark.parametrize(
-    "kind, color", [("ND_gltf_pbr_surfaceshader", "base_color"), ("ND_disney_principled", "baseColor")]
-)
-def test_a_matte_surface_reflects_its_colour_in_the_picture(quad, kind, color):
+def test_a_matte_surface_reflects_its_colour_in_the_picture(quad):
     """Under a sky of 100 nits everywhere, a surface that only scatters is as bright as its colour times that."""
     stage, shader = quad
-    shader("Surface", kind, "mtlx", metallic=0.0, specular=0.0, **{color: (0.8, 0.4, 0.2)})
+    shader("Surface", "ND_gltf_pbr_surfaceshader", "mtlx", metallic=0.0, specular=0.0, base_color=(0.8, 0.4, 0.2))
     UsdLux.DomeLight.Define(stage, "/Sky").CreateIntensityAttr(100.0)
     camera = UsdGeom.Camera(stage.GetPrimAtPath("/Camera"))
     camera.CreateFocalLengthAttr(1000.0)  # a degree about the middle of the quad's lower edge ...
@@ -389,24 +319,6 @@ def test_omnipbr_changes_its_pictures_as_its_formulas_say(quad, tmp_path):
     np.testing.assert_allclose(shape["emitter"]["radiance"]["bitmap"], linear(CODES) * [10, 5, 0], rtol=1e-4)
     slopes = (CODES / 127.5 - 1) * [0.5, 0.5, 1]
     np.testing.assert_allclose(2 * normals - 1, slopes / np.linalg.norm(slopes, axis=2, keepdims=True), atol=1e-5)
-
-
-@pytest.mark.parametrize("inputs, expected", [
-    ({}, {"type": "dielectric", "int_ior": 1.491}),
-    ({"glass_ior": 1.6, "thin_walled": True}, {"type": "thindielectric", "int_ior": 1.6}),
-    ({"frosting_roughness": 0.5}, {"type": "roughdielectric", "int_ior": 1.491, "distribution": "ggx", "alpha": 0.25}),
-])  # fmt: skip
-def test_omniglass_refracts(quad, inputs, expected):
-    """A solid's face unless it is thin; frosting by the square of its roughness; cutout as a mask."""
-    stage, shader = quad
-    made = mdl(shader, "OmniGlass.mdl", "OmniGlass", **inputs)
-    bsdf = drawn(stage)[2]
-    assert {key: pytest.approx(value) if isinstance(value, float) else value for key, value in bsdf.items()} == expected
-    for name, value in (("enable_opacity", True), ("cutout_opacity", 0.5), ("glass_color", (0.5, 1, 1))):
-        put(made, name, value)
-    bsdf = drawn(stage)[2]
-    assert (bsdf["type"], bsdf["opacity"], bsdf["bsdf"]["type"]) == ("mask", 0.5, expected["type"])
-    assert bsdf["bsdf"]["specular_transmittance"]["value"] == [0.5, 1.0, 1.0]
 
 
 def reader_of(shader, name, **transform):

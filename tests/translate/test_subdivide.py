@@ -1,10 +1,10 @@
-"""Catmull-Clark and Loop: limit positions against splines and against masks worked out by hand."""
+"""Catmull-Clark: limit positions against splines and against masks worked out by hand."""
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from synfog_usd.translate import loop, subdivide
+from synfog_usd.translate import subdivide
 from synfog_usd.translate.subdivide import Cage, cut_apart, subdivided
 
 BOX = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -69,59 +69,17 @@ def test_ends_of_a_sheet_follow_the_boundary_rule(sharp_ends, wanted):
     np.testing.assert_allclose(fine[0], [wanted, wanted, 0.0], atol=1e-12)
 
 
-def triangles(size, heights):
-    """A size x size grid of points, each square of it cut from its lower left to its upper right: six edges at every
-    inner point.
-    """
-    points, counts, indices = sheet(size, heights)
-    a, b, c, d = indices.reshape(-1, 4).T
-    return points, np.full(2 * len(counts), 3), np.stack([a, b, c, a, c, d], axis=1).reshape(-1)
-
-
-@pytest.mark.parametrize("level", [1, 2, 3])
-def test_a_regular_loop_sheet_keeps_a_parabola(level):
-    """Where six triangles meet, heights x^2 become x^2 + 1/3: half of a point and a twelfth of each neighbour, four of
-    which lie 1 aside.
-    """
-    points, counts, indices = triangles(8, np.broadcast_to(np.arange(8.0) ** 2, (8, 8)))
-    fine = loop.subdivided(points, Cage(counts, indices), level).points
-    x, _, z = fine[((fine[:, :2] > 1.99) & (fine[:, :2] < 5.01)).all(axis=1)].T
-    assert len(z) == (3 * 2**level + 1) ** 2
-    np.testing.assert_allclose(z, x**2 + 1 / 3, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("valence", [3, 4, 5, 6, 7, 12])
-def test_a_loop_point_has_one_limit_at_every_level(valence):
-    """The limit mask of the cage's own point gives what it gives after four divisions, for any number of neighbours."""
-    angle = 2 * np.pi * np.arange(valence) / valence
-    inner, outer = (np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(valence)], axis=1) for r in (1.0, 2.0))
-    points = (
-        np.concatenate([[[0, 0, 0]], inner, outer])
-        + np.random.default_rng(valence).normal(size=(2 * valence + 1, 3)) * 0.2
-    )
-    k = np.arange(valence)
-    following = (k + 1) % valence
-    near, beside, far, beyond = 1 + k, 1 + following, 1 + valence + k, 1 + valence + following
-    corners = ((k * 0, near, beside), (near, far, beyond), (near, beyond, beside))
-    faces = np.concatenate([np.stack(face, 1) for face in corners])
-    cage = Cage(np.full(len(faces), 3), faces.reshape(-1))
-    once, often = (loop.subdivided(points, cage, level).points[: 1 + valence] for level in (1, 4))
-    np.testing.assert_allclose(once, often, rtol=0, atol=1e-12)
-    assert np.abs(once[0] - points[0]).max() > 1e-3  # it moved
-
-
 @pytest.mark.parametrize("level", [1, 3])
 @pytest.mark.parametrize("where", ["boundary", "crease"])
-@pytest.mark.parametrize("made, divide", [(sheet, subdivided), (triangles, loop.subdivided)])
-def test_boundaries_and_creases_are_cubic_splines(made, divide, level, where):
+def test_boundaries_and_creases_are_cubic_splines(level, where):
     """They forget what lies beside them: the row's own points are the control points of a curve."""
     heights = np.random.default_rng(3).normal(size=(9, 9))
-    points, counts, indices = made(9, heights)
+    points, counts, indices = sheet(9, heights)
     row = 0 if where == "boundary" else 4
     chain = np.arange(9) + 9 * row
     pairs = np.stack([chain[:-1], chain[1:]], axis=1)
     sharp = {"creases": pairs, "crease_sharpness": np.full(8, 10.0)} if where == "crease" else {}
-    fine = divide(points, Cage(counts, indices, **sharp), level).points
+    fine = subdivided(points, Cage(counts, indices, **sharp), level).points
     x, _, z = fine[(np.abs(fine[:, 1] - row) < 1e-12) & (fine[:, 0] > 1.99) & (fine[:, 0] < 6.01)].T
     assert len(z) == 4 * 2**level + 1
     np.testing.assert_allclose(z, spline(heights[row])(x), rtol=0, atol=1e-12)
@@ -160,7 +118,7 @@ def test_edges_of_triangles_lean_on_their_faces():
     """By the rule 'smooth' a triangle's centre weighs 0.47, a quad's 0.25; an edge's points weigh what is left."""
     cage = Cage(np.array([len(face) for face in ROOF_FACES]), np.concatenate(ROOF_FACES), smooth_triangles=True)
     points, _ = divided(ROOF, cage, 1)
-    edges = subdivide.Edges(cage)
+    edges = subdivide._Edges(cage)
     centers = {tuple(sorted(face)): ROOF[face].mean(axis=0) for face in ROOF_FACES}
 
     def edge_point(a, b, *faces):

@@ -52,15 +52,6 @@ def test_what_makes_no_sense_is_told_with_what_is_taken(tmp_path, camera, prims,
 
 
 CUBE = 'def Cube "Box"\n{\n    double size = 2\n}\n'
-HOUSE = """def Xform "House" (
-    kind = "component"
-    prepend apiSchemas = ["GeomModelAPI"]
-) {
-    uniform token model:drawMode = "cards"
-    uniform token model:cardGeometry = "box"
-    def Cube "Body" {}
-}
-"""
 CURVE = """def BasisCurves "Line"
 {
     int[] curveVertexCounts = [4]
@@ -115,7 +106,6 @@ def Material "Look" {
     (PLATE + "}\n", "/Plate", "subdivisionScheme", "none"),
     (PLATE + '    uniform token orientation = "leftHanded"\n}\n', "/Plate", "orientation", "rightHanded"),
     (PLATE + '    token interpolateBoundary = "edgeOnly"\n}\n', "/Plate", "interpolateBoundary", "edgeAndCorner"),
-    (HOUSE, "/House", "model:drawMode", "default"),
     (CURVE, "/Line", "wrap", "nonperiodic"),
     (DOME, "/Sky", "poleAxis", "scene"),
     (PICTURE, "/Look/Picture", "inputs:wrapS", "useMetadata"),
