@@ -47,7 +47,7 @@ class Scenes:
     def of(self, shot: Shot) -> SceneDict:
         """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
         from synfog_usd import stage as usd
-        from synfog_usd.translate import Exchange, View, outdoors
+        from synfog_usd.translate import Exchange, StageView, outdoors
 
         if shot in self.known:
             return self.known[shot]
@@ -58,7 +58,7 @@ class Scenes:
             lighting=shot.lighting_variant or self.authored.get("lighting"),
         )
         first = plan.rig[0] if plan.rig else plan.camera
-        view = View(first, plan.frame, plan.size, shot.fog_override, plan.lights, plan.light_scale)
+        view = StageView(first, plan.frame, plan.size, shot.fog_override, plan.lights, plan.light_scale)
         if fresh := shot.lighting not in self.lightings:
             before = next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(self.stage, view, rig=plan.rig[1:], before=before)

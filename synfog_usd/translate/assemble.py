@@ -50,7 +50,7 @@ _AHEAD = 4096
 
 
 @dataclass(frozen=True)
-class View:
+class StageView:
     """How a stage is looked at, for all fields see `translate`."""
 
     camera: str | None = None
@@ -92,7 +92,7 @@ def translate(
         StageError: nothing to look with, fog that makes no sense, or a file that
             asks for more than a machine can hold; names the prim.
     """
-    view = View(camera, frame, resolution, fog, lights, light_scale)
+    view = StageView(camera, frame, resolution, fog, lights, light_scale)
     return with_boundaries(stage, view, Reused())[0]
 
 
@@ -115,7 +115,7 @@ class Reused:
 
 
 @plain_errors
-def with_boundaries(stage: Usd.Stage, view: View, reused: Reused) -> tuple[SceneDict, tuple[str, ...], Outlook]:
+def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[SceneDict, tuple[str, ...], Outlook]:
     """The scene of a stage, the paths of all its fog boundaries, whatever the fog of the view, and its outlook.
 
     Args:
@@ -236,7 +236,7 @@ def _moment(stage: Usd.Stage, frame: float | None, notes: Diagnostics) -> Usd.Ti
     return Usd.TimeCode.Default()
 
 
-def looked_from(stage: Usd.Stage, view: View, notes: Diagnostics) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
+def looked_from(stage: Usd.Stage, view: StageView, notes: Diagnostics) -> tuple[Usd.Stage, Usd.TimeCode, Space, Camera]:
     """The stage with its skeletons posed, the moment, the space around the camera, and the camera in it."""
     time = at_mid_exposure(stage, _moment(stage, view.frame, notes), notes, path=view.camera)
     stage = posed(stage, time, notes)

@@ -22,7 +22,7 @@ from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import opinions_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
 from synfog_usd.translate import volume
-from synfog_usd.translate.assemble import Outlook, Reused, View, fog_around, looked_from, with_boundaries
+from synfog_usd.translate.assemble import Outlook, Reused, StageView, fog_around, looked_from, with_boundaries
 from synfog_usd.translate.camera import half_exposure
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.space import Space
@@ -31,7 +31,7 @@ from synfog_usd.translate.walk import walk
 _CONTAINERS = frozenset({"", "Scope", "Xform"})
 """Types of prims that are nothing by themselves."""
 
-_AS_AUTHORED = View()
+_AS_AUTHORED = StageView()
 
 
 class Exchange:
@@ -51,7 +51,12 @@ class Exchange:
     """
 
     def __init__(
-        self, stage: Usd.Stage, view: View = _AS_AUTHORED, *, rig: Sequence[str] = (), before: Exchange | None = None
+        self,
+        stage: Usd.Stage,
+        view: StageView = _AS_AUTHORED,
+        *,
+        rig: Sequence[str] = (),
+        before: Exchange | None = None,
     ) -> None:
         self._view = view
         self._reused: Reused = Reused() if before is None else before._reused

@@ -20,7 +20,7 @@ from synfog_usd.dataset.rig import bake_cameras, folders_of
 from synfog_usd.dataset.sets.load import define_set
 from synfog_usd.dataset.sets.scenes import scene
 from synfog_usd.dataset.sets.unit import make
-from synfog_usd.translate import Exchange, View, exchange
+from synfog_usd.translate import Exchange, StageView, exchange
 
 SMALL = dict(size=(48, 28), quality="reference", samples=4, bands=3)
 
@@ -124,7 +124,7 @@ def test_a_second_camera_is_exchanged_at_the_same_origin(tmp_path):
     the second.
     """
     opened = stage.open_stage(rig_stage(tmp_path, right=(123.4, 5.0, 0.0)))
-    made = Exchange(opened, View(camera="/World/Ego"), rig=["/World/Rig/Right"])
+    made = Exchange(opened, StageView(camera="/World/Ego"), rig=["/World/Rig/Right"])
     other = made.within(opened, camera="/World/Rig/Right")
     assert other.world is made.scene.world
     assert other.origin_m == made.scene.origin_m
@@ -141,7 +141,7 @@ def test_cameras_of_other_moments_are_translated_apart(tmp_path):
     at = text.index('def Camera "Right"')
     path.write_text(text[:at] + text[at:].replace("{", "{\n double shutter:open = 0\n double shutter:close = 0.5\n", 1))
     opened = stage.open_stage(path)
-    made = Exchange(opened, View(camera="/World/Ego", frame=1.0), rig=["/World/Rig/Right"])
+    made = Exchange(opened, StageView(camera="/World/Ego", frame=1.0), rig=["/World/Rig/Right"])
     assert made.within(opened, camera="/World/Rig/Right") is None
     assert made.scene.further_cameras == ()
 

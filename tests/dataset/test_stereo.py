@@ -19,7 +19,7 @@ from synfog_usd.dataset.exports.frames import pictures
 from synfog_usd.dataset.exports.record import Boxed
 from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.rig import bake_cameras
-from synfog_usd.translate import Exchange, View
+from synfog_usd.translate import Exchange, StageView
 
 WIDTH, BASELINE_M, FOV_DEG = 160, 0.5, 40.0
 FOCAL_PX = WIDTH / 2 / math.tan(math.radians(FOV_DEG) / 2)
@@ -108,7 +108,7 @@ def test_a_pair_looks_the_same_way_from_one_row(tmp_path):
         )
     ):
         opened = stage.open_stage(rig_stage(tmp_path, right=right, turn_deg=turn, name=f"rig{number}"))
-        made = Exchange(opened, View(camera="/World/Ego"), rig=["/World/Rig/Right"])
+        made = Exchange(opened, StageView(camera="/World/Ego"), rig=["/World/Rig/Right"])
         pair = stereo.pair_of(made.scene)
         assert pair is None if found is None else pair.baseline_m == pytest.approx(found)
     back = made.within(opened, camera="/World/Rig/Right")

@@ -10,7 +10,7 @@ from support.stages import street
 from synfog_usd import stage as usd
 from synfog_usd.base import resources
 from synfog_usd.fog import Fog
-from synfog_usd.translate import Exchange, View, translate
+from synfog_usd.translate import Exchange, StageView, translate
 
 THICK = """        "mor150" {
             over "Fog"
@@ -56,7 +56,7 @@ def test_each_fog_is_as_if_it_were_translated(begin, mor_m):
     """From clear air or from fog, as authored, with a visibility instead, and without any."""
     stage = stage_of(street(lamp=True))
     usd.select(stage, fog=begin)
-    exchange = Exchange(stage, View(resolution=(32, 18)))
+    exchange = Exchange(stage, StageView(resolution=(32, 18)))
     for name in ("clear", "mor600", "mor150"):
         usd.select(stage, fog=name)
         found = exchange.within(stage, fog=mor_m and Fog(mor_m))
@@ -68,7 +68,7 @@ def test_each_fog_is_as_if_it_were_translated(begin, mor_m):
 def test_the_shipped_stages_exchange_their_fogs(name):
     """The crossing and the bank of fog, whose second volume no variant names."""
     stage = usd.open_stage(resources.folder("stages") / f"{name}.usda")
-    exchange = Exchange(stage, View(resolution=(32, 18)))
+    exchange = Exchange(stage, StageView(resolution=(32, 18)))
     for fog in usd.variants(stage)["fog"]:
         usd.select(stage, fog=fog)
         found = exchange.within(stage)
@@ -88,7 +88,7 @@ def test_a_variant_that_says_more_is_not_exchanged(what):
     for begin, other in (("mor150", "clear"), ("clear", "mor150")):
         stage = stage_of(text)
         usd.select(stage, fog=begin)
-        exchange = Exchange(stage, View(resolution=(32, 18)))
+        exchange = Exchange(stage, StageView(resolution=(32, 18)))
         usd.select(stage, fog=other)
         assert exchange.within(stage) is None, (begin, other)
 
@@ -107,7 +107,7 @@ def test_a_variant_of_a_file_that_is_referred_to_counts(tmp_path):
         )
         stage = usd.open_stage(tmp_path / "town.usda")
         usd.select(stage, fog="clear")
-        exchange = Exchange(stage, View(resolution=(32, 18)))
+        exchange = Exchange(stage, StageView(resolution=(32, 18)))
         usd.select(stage, fog="mor150")
         found = exchange.within(stage)
         assert (found is not None) == exchanged
@@ -191,10 +191,10 @@ def test_what_another_variant_leaves_alone_is_taken_over(what):
     """A second lighting that says something of one of three plates: the scene is as if it were translated by itself."""
     text = TWO.replace("SAID", SAID[what])
     stage, alone = stage_of(text), stage_of(text)
-    day = Exchange(stage, View(resolution=(32, 18)))
+    day = Exchange(stage, StageView(resolution=(32, 18)))
     usd.select(stage, lighting="night")
     usd.select(alone, lighting="night")
-    night = Exchange(stage, View(resolution=(32, 18)), before=day)
+    night = Exchange(stage, StageView(resolution=(32, 18)), before=day)
     same(night.scene, translate(alone, resolution=(32, 18)))
 
     def arrays(exchange):
