@@ -195,11 +195,11 @@ def _of_crossing(site: Crossing) -> Network:
     for arm in arms:
         for other in arms:
             if other is not arm:
-                begin, end = _mouth(arm, 1), _mouth(other, -1)
+                near, far = _mouth(arm, 1), _mouth(other, -1)
                 widths = arm.strips[0].widths[0][1], other.strips[0].widths[0][1]
                 ways.append(
                     _through(
-                        network, 1, (arm.number, 1, "start"), (other.number, -1, "start"), _turn(begin, end), widths
+                        network, 1, (arm.number, 1, "start"), (other.number, -1, "start"), _turn(near, far), widths
                     )
                 )
     network.junctions.append(Junction(1, "crossing", ways))
