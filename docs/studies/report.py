@@ -1,7 +1,7 @@
 """A suite's table and drawings into a page of the documentation, so that no number is typed by hand.
 
 From a shell: `python -m docs.studies.report OUT docs/speed-accuracy.md`.  Reads
-each `OUT/<stage>/chart.csv` and `notes.txt`, writes the table and the drawings over all
+each `OUT/<stage>/chart.csv`, writes the table and the drawings over all
 anew, copies the drawings to `images/` beside the page, and replaces
 what stands between the page's two marks.  Renders nothing.
 """
@@ -18,7 +18,10 @@ from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
 from synfog_usd.lab.study import verdicts
 from synfog_usd.lab.study.chart import write_suite
-from synfog_usd.lab.study.points import TARGETS, Point, lines, read, summary
+from synfog_usd.lab.study.points import TARGETS, Point, read, summary
+
+SHOWN = (TARGETS[1], TARGETS[3])
+"""Targets that have a table on the page: 3 % total error, and 1 % mottle."""
 
 BEGIN, END = "<!-- suite: written by docs.studies.report; do not edit -->", "<!-- end of suite -->"
 
@@ -41,12 +44,11 @@ def report(out: Path, document: Path) -> None:
     images = document.parent / "images"
     for name in ("suite", "mottle"):
         files.write_bytes(images / f"chart_{name}.png", (out / f"{name}.png").read_bytes())
-    notes = {path.parent.name: (path.parent / "notes.txt").read_text(encoding="utf-8").splitlines() for path in found}
-    text = f"{before}{BEGIN}\n\n{section(points, notes)}\n{END}{after}"
+    text = f"{before}{BEGIN}\n\n{section(points)}\n{END}{after}"
     files.write_bytes(document, text.encode())
 
 
-def section(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[str]]) -> str:
+def section(points: Mapping[str, Sequence[Point]]) -> str:
     """What stands between the marks, in Markdown."""
     rows = {name: summary(name, line) for name, line in points.items()}
     first = next(iter(points.values()))[0]
@@ -57,9 +59,7 @@ def section(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[
         "![Seconds against error on each stage](images/chart_suite.png)",
         "![Seconds against mottle on each stage](images/chart_mottle.png)",
         "### The words of quality\n\nSeconds, paths of a pixel, total error, mottle.\n\n" + _words(points),
-        *(_table(index, measure, target, rows) for index, (measure, target) in enumerate(TARGETS)),
-        "### At the most samples\n\nSamples; noise, bias, mottle.\n\n" + _errors(points),
-        "### Where each fails\n\n" + _failures(points, notes),
+        *(_table(TARGETS.index(target), *target, rows) for target in SHOWN),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -81,24 +81,6 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
     return text.rstrip()
 
 
-def _failures(points: Mapping[str, Sequence[Point]], notes: Mapping[str, Sequence[str]]) -> str:
-    """A line for each model and setting: stages where its bias is seen, and why it is not there."""
-    names = list(dict.fromkeys(point.line for line in points.values() for point in line))
-    names += [name for stage in notes.values() for note in stage if (name := note.partition(":")[0]) not in names]
-    text = "| model | bias of a pixel that is seen | left out |\n|---|---|---|\n"
-    for name in dict.fromkeys(names):
-        last = {stage: found[name][-1] for stage, line in points.items() if name in (found := lines(line))}
-        biased = [f"{stage} {verdicts.percent(p.bias_rms)}" for stage, p in last.items() if p.bias_is_seen]
-        out = [
-            f"{stage}: {note.partition(': ')[2]}"
-            for stage, told in notes.items()
-            for note in told
-            if note.startswith(f"{name}: ")
-        ]
-        text += f"| `{name}` | {', '.join(biased) or 'none'} | {'; '.join(out)} |\n"
-    return text.rstrip()
-
-
 def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     text = f"### Seconds to {verdicts.target_words(measure, target)}\n\n"
     text += (
@@ -113,26 +95,6 @@ def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[
             cells += [str(row[who]) or "none", verdicts.seconds(row, who)]
         cells += [verdicts.ratio(row), verdicts.ratio(row, "unbiased")]
         text += f"| {' | '.join(cells)} |\n"
-    return text.rstrip()
-
-
-def _errors(points: Mapping[str, Sequence[Point]]) -> str:
-    names = list(dict.fromkeys(point.line for line in points.values() for point in line))
-    text = f"| stage | {' | '.join(names)} |\n|---|{'---|' * len(names)}\n"
-    for name, line in points.items():
-        last = {key: found[-1] for key, found in lines(line).items()}
-        cells = []
-        for key in names:
-            point = last.get(key)
-            if point is None:
-                cells.append("")
-                continue
-            bias = verdicts.percent(point.bias_rms if point.bias_is_seen else point.bias_limit)
-            cells.append(
-                f"{point.samples}; {verdicts.percent(point.noise_rms)}, {'' if point.bias_is_seen else '< '}{bias}, "
-                f"{verdicts.percent(point.mottle)}"
-            )
-        text += f"| {name} | {' | '.join(cells)} |\n"
     return text.rstrip()
 
 
