@@ -83,7 +83,7 @@ lock:
 	uv pip compile pyproject.toml --universal --extra dev --extra llvm --extra sets --extra benchmark --python-version 3.10 --no-header --no-annotate -o constraints.txt
 
 wheel: setup
-	$(BIN)/python -m build --wheel
+	$(BIN)/python -m build
 
 clean:
 	rm -rf $(VENV) .venv-bpy build dist out *.egg-info

@@ -62,12 +62,12 @@ def _section(name: str) -> Iterator[str]:
     item = getattr(synfog_usd, name)
     yield from (f"## sf.{name}", "", "```text", f"sf.{name}{_signature(item)}", "```", "")
     yield from _described(item)
-    for given in GIVEN.get(name, ()):
-        yield from (f"### {given.__name__}", "")
-        yield from _described(given)
-        for inner, member in _members(given):
-            kind = "" if isinstance(member, property) else _signature(member)
-            yield from (f"`{inner}{kind}`: {_summary(member)}", "")
+    for kind in GIVEN.get(name, ()):
+        yield from (f"### {kind.__name__}", "")
+        yield from _described(kind)
+        for inner, member in _members(kind):
+            words = "" if isinstance(member, property) else _signature(member)
+            yield from (f"`{inner}{words}`: {_summary(member)}", "")
 
 
 def _members(kind: type) -> Iterator[tuple[str, Any]]:

@@ -18,6 +18,7 @@ from synfog_usd.dataset.job import run as make
 
 if TYPE_CHECKING:
     from synfog_usd.base.notes import Note
+    from synfog_usd.dataset.bake import Baked
 
 REMARKS = 5
 """How many remarks are printed; warnings all are."""
@@ -40,12 +41,12 @@ def run(options: dict[str, Any]) -> None:
     with shown(quiet=False) as (progress, log):
         baked = make(job, progress=progress, log=log, reading=worker.reading_limits)
         _report(baked.notes, plan.stage, log)
-    print(_summary(job, baked.manifest))
+    print(_summary(job, baked))
 
 
-def _summary(job: BakeJob, manifest: Any) -> str:
+def _summary(job: BakeJob, baked: Baked) -> str:
     """How many shots, cameras or frames there are now, and where."""
-    out = job.plan.out
+    out, manifest = job.plan.out, baked.manifest
     if job.codes is not None:
         clips = [
             clip for sequence in (manifest if isinstance(manifest, list) else [manifest]) for clip in sequence["clips"]

@@ -286,9 +286,9 @@ def compose(words: ComposeWords) -> None:
 
     from synfog_usd.world.compose import compose as draw
 
-    asked = dataclasses.asdict(words)
-    as_json, recipe, out = (asked.pop(name) for name in ("as_json", "recipe", "out"))
-    spec = draw(recipe, out, **{**asked, "change": words.change or []})
+    values = dataclasses.asdict(words)
+    as_json, recipe, out = (values.pop(name) for name in ("as_json", "recipe", "out"))
+    spec = draw(recipe, out, **{**values, "change": words.change or []})
     if as_json:
         print(json.dumps(spec.plain(), indent=2))
         return

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import Enum
-from typing import Any
 
 import typer
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from synfog_usd.cli.main import app
 
@@ -25,7 +25,7 @@ Exit codes: 0 done; 1 done, but something that was asked to be an error was foun
 
 def page() -> str:
     """All commands: a table of contents, then a section for each, in the order of the program's own help."""
-    every = _commands(typer.main.get_command(app), "synfog-usd")
+    every = _commands(typer.main.get_group(app), "synfog-usd")
     commands = [(name, command) for name, command in every if not command.hidden]
     contents = ["| command | does |", "|---|---|"]
     contents += [f"| [`{name}`](#{name.replace(' ', '-')}) | {_summary(command)} |" for name, command in commands]
@@ -33,24 +33,22 @@ def page() -> str:
     return "\n".join([HEAD, *contents, "", *sections])
 
 
-def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+def _commands(group: TyperGroup, name: str) -> Iterator[tuple[str, TyperCommand]]:
     """(name as typed, command) of all commands below a group."""
-    for key, inner in getattr(command, "commands", {}).items():
-        if hasattr(inner, "commands"):
+    for key, inner in group.commands.items():
+        if isinstance(inner, TyperGroup):
             yield from _commands(inner, f"{name} {key}")
-        else:
+        elif isinstance(inner, TyperCommand):
             yield f"{name} {key}", inner
 
 
-def _summary(command: Any) -> str:
+def _summary(command: TyperCommand) -> str:
     return " ".join((command.help or "").split("\n\n")[0].split())
 
 
-def _section(name: str, command: Any) -> list[str]:
-    arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
-    options = [
-        parameter for parameter in command.params if parameter.param_type_name == "option" and parameter.name != "help"
-    ]
+def _section(name: str, command: TyperCommand) -> list[str]:
+    arguments = [parameter for parameter in command.params if isinstance(parameter, TyperArgument)]
+    options = [item for item in command.params if isinstance(item, TyperOption) and item.name != "help"]
     usage = " ".join([name, *(_placeholder(argument) for argument in arguments), *(["[OPTIONS]"] if options else [])])
     lines = [f"## {name}", "", _summary(command), "", "```sh", usage, "```", ""]
     if rows := [*map(_argument, arguments), *map(_option, options)]:
@@ -58,21 +56,21 @@ def _section(name: str, command: Any) -> list[str]:
     return lines
 
 
-def _placeholder(argument: Any) -> str:
+def _placeholder(argument: TyperArgument) -> str:
     word = argument.name.upper()
     return word if argument.required else f"[{word}]"
 
 
-def _argument(argument: Any) -> str:
+def _argument(argument: TyperArgument) -> str:
     return f"| `{_placeholder(argument)}` | {'needed' if argument.required else ''} | {_cell(argument.help)} |"
 
 
-def _option(option: Any) -> str:
+def _option(option: TyperOption) -> str:
     names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
     return f"| {names} | {_default(option)} | {_cell(option.help)} |"
 
 
-def _default(option: Any) -> str:
+def _default(option: TyperOption) -> str:
     if option.required:
         return "needed"
     if option.default is None or option.default == () or callable(option.default):

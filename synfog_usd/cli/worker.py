@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from synfog_usd.base import isolated, system
 from synfog_usd.base.isolated import MARK
@@ -67,25 +67,28 @@ class _UnprintedError(OSError):
 class _Printer:
     """A stream whose failures can be distinguished from those of other files."""
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
-    def write(self, text: Any) -> Any:
-        return self._tried(self._stream.write, text)
+    def write(self, text: str) -> int:
+        with _unprinted():
+            return self._stream.write(text)
 
     def flush(self) -> None:
         if not self._stream.closed:
-            self._tried(self._stream.flush)
+            with _unprinted():
+                self._stream.flush()
 
-    @staticmethod
-    def _tried(do: Callable[..., Any], *given: Any) -> Any:
-        try:
-            return do(*given)
-        except OSError as error:
-            raise _UnprintedError(error.errno, error.strerror) from error
+
+@contextlib.contextmanager
+def _unprinted() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise _UnprintedError(error.errno, error.strerror) from error
 
 
 @contextlib.contextmanager

@@ -29,7 +29,7 @@ def test_the_page_of_python_is_fresh():
 def test_every_option_says_what_it_means():
     """An option without a line of help is a hole in the page."""
     mute = []
-    for name, command in reference._commands(typer.main.get_command(app), "synfog-usd"):
+    for name, command in reference._commands(typer.main.get_group(app), "synfog-usd"):
         mute += [
             f"{name} {parameter.name}"
             for parameter in command.params
