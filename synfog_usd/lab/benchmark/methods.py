@@ -7,9 +7,9 @@
       - {name: mine, onnx: mine.onnx, multiple: 8}
       - {name: theirs, command: [python, run.py, --in, "{in}", --out, "{out}"], takes: srgb.png, timeout_s: 60}
 
-An ONNX network takes and gives R, G and B of (1, 3, H, W), from 0 to 1, or -1 to 1 by `range: [-1, 1]`.  A command
-reads the file {in} and writes a PNG of the same size to {out}; `takes: raw.dng` hands it the RAW file.  Both work on
-one picture at a time, and have all cores, unless `at_once` allows more.
+An ONNX network takes and gives R, G and B of (1, 3, H, W).  Values go from 0 to 1; by `range: [-1, 1]` from -1.  A
+command reads the file {in} and writes a PNG of the same size to {out}; `takes: raw.dng` hands it the RAW file.  Both
+work on one picture at a time, and have all cores, unless `at_once` allows more.
 """
 
 from __future__ import annotations

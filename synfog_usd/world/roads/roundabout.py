@@ -163,8 +163,9 @@ class Roundabout(Road):
         return x, y, z, round((turned + 180.0) % 360.0 - 180.0, 3)
 
     def lane_edges(self, arm: int, way: int) -> tuple[Array, Array]:
-        """(N, 3) left and (M, 3) right edge [m] of an arm's lane as it is driven, outwards (1) or inwards (-1); on the
-        circle the right one begins where the arc of the kerb does.
+        """(N, 3) left and (M, 3) right edge [m] of an arm's lane as it is driven, outwards (1) or inwards (-1).
+
+        On the circle the right one begins where the arc of the kerb does.
         """
         road, r = self.arms[arm], self.corners[arm if way < 0 else arm - 1]
         e, foot = self.half_island + self.lane_width, self.tangent(r)
