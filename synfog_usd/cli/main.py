@@ -274,6 +274,9 @@ class ComposeWords:
         Path | None, typer.Option(help="FCD of SUMO (.xml) that drives, in place of the traffic that is drawn.")
     ] = None
     fcd: Annotated[Path | None, typer.Option(help="File for the traffic of the clip as FCD (.xml).")] = None
+    environment: Annotated[
+        Path | None, typer.Option(help="OpenSCENARIO (.xosc) whose fog, sun and time of day are taken.")
+    ] = None
     opendrive: Annotated[Path | None, typer.Option(help="File for the roads as OpenDRIVE 1.8 (.xodr).")] = None
     as_json: Annotated[bool, typer.Option("--json", help="Print what stands where as JSON.")] = False
 

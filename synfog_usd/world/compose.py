@@ -19,7 +19,7 @@ from synfog_usd.world.roads import crossing_recipe, roundabout_recipe, stage
 from synfog_usd.world.roads import recipe as road_recipe
 from synfog_usd.world.roads.traffic import speed_m_s
 from synfog_usd.world.spec import WorldSpec
-from synfog_usd.world.traffic import motion, write
+from synfog_usd.world.traffic import motion, scenario, write
 from synfog_usd.world.traffic.fcd import driven, seconds_of
 from synfog_usd.world.traffic.fcd import read as read_fcd
 from synfog_usd.world.traffic.fcd import write as write_fcd
@@ -69,6 +69,7 @@ def compose(
     traffic: str | os.PathLike[str] | None = None,
     fcd: str | os.PathLike[str] | None = None,
     opendrive: str | os.PathLike[str] | None = None,
+    environment: str | os.PathLike[str] | None = None,
 ) -> WorldSpec:
     """Draw a world and write it as a stage: the file, and a layer for each department beside it.
 
@@ -88,6 +89,7 @@ def compose(
         traffic: FCD of SUMO (.xml) with what drives and walks, in place of what the recipe draws in motion; its times
             are those of the clip where nothing says another length.
         fcd: file for the same of this clip.
+        environment: OpenSCENARIO (.xosc) whose fog, sun and time of day are taken in place of the recipe's.
         opendrive: file for the roads as OpenDRIVE 1.8 (.xodr), in the axes of the stage.
 
     Returns:
@@ -104,16 +106,23 @@ def compose(
     if recorded and seconds is None:
         seconds = seconds_of(recorded)
     chosen = load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps))
+    weather = None if environment is None else scenario.read(values.path_of(environment, "--environment"))
+    if weather:
+        chosen = scenario.at_its_hour(chosen, weather)
     spec = draw(chosen, seed=seed)
     clip = clip_of(chosen, spec, seed=seed)
     if clip is None and (recorded or out_fcd):
         raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
+    if weather:
+        spec = scenario.around(spec, weather)
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
 
     def author(place: Path) -> Sdf.Layer:
         layer = stage.author(place, spec, assets=assets)
+        if weather:
+            scenario.author(layer, weather)
         if clip:
             write.author(layer, spec, clip)
         return layer

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.parsers import expat
 
 import numpy as np
 
@@ -26,12 +25,14 @@ from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, WorldSpec
 from synfog_usd.world.traffic.motion import BRAKES_M_S2, Clip, Track, ground, slopes
+from synfog_usd.world.traffic.safe_xml import Place, parse
 from synfog_usd.world.traffic.walk import SPEED_M_S
 
 EGO = "ego"
 """The vehicle with this id is the camera's car."""
-MOST, MOST_ROWS, MOST_BYTES, MOST_OF_A_TAG = 500, 2_000_000, 1 << 30, 1 << 20
-"""Vehicles and persons of a file, their rows, its bytes, and the bytes of one element's start or of a comment."""
+MOST, MOST_ROWS = 500, 2_000_000
+"""Vehicles and persons of a file, and their rows."""
+AS_SUMO = "add it, as SUMO does without --fcd-output.attributes"
 KINDS: Mapping[str, tuple[str, ...]] = {
     "bus": ("bus",), "coach": ("coach",), "truck": ("lorry", "box_truck"), "trailer": ("box_truck",),
     "delivery": ("van",), "taxi": ("taxi",), "motor": ("motorcyclist",), "moped": ("motorcyclist",),
@@ -64,23 +65,8 @@ def read(path: Path) -> list[Recorded]:
     Raises:
         RecipeError: it cannot be read, is no FCD, is too large, or lacks a number; says where.
     """
-    reader = _FcdReader(path)
-    try:
-        with path.open("rb") as file:
-            size = 0
-            while chunk := file.read(1 << 16):
-                size += len(chunk)
-                reader.parser.Parse(chunk)
-                if size > MOST_BYTES or size - max(reader.parser.CurrentByteIndex, 0) > MOST_OF_A_TAG:
-                    raise reader.fault("an element or the file is too long for FCD; cut out a part")
-            reader.parser.Parse(b"", True)
-    except OSError as error:
-        raise RecipeError(f"{path}: cannot be read ({error.strerror})") from error
-    except expat.ExpatError as error:
-        text = expat.ErrorString(error.code)
-        raise RecipeError(f"{path}:{error.lineno}:{error.offset + 1}: no XML: {text}; write it anew") from error
-    except (LookupError, ValueError) as error:
-        raise reader.fault(f"no XML that can be read ({error}); write it in UTF-8") from error
+    reader = _FcdReader()
+    parse(path, "FCD", reader)
     if not reader.everybody:
         raise RecipeError(f"{path}: no vehicle and no person in it; SUMO writes them with --fcd-output")
     return list(reader.everybody.values())
@@ -95,89 +81,64 @@ class _FcdReader:
         rows: how many were read; waiting: persons of the timestep, and seats: where its vehicles are.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self) -> None:
         self.everybody: dict[tuple[bool, str], Recorded] = {}
         self.time, self.step, self.inside, self.rows = -math.inf, -1, False, 0
         self.waiting: list[tuple[Recorded, tuple[float, float, float, float, float, int]]] = []
         self.seats: set[tuple[float, float]] = set()
-        self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self.start
-        self.parser.EndElementHandler = self.end
-        self.parser.StartDoctypeDeclHandler = self.doctype
 
-    def fault(self, text: str) -> RecipeError:
-        """An error at the place where the parser is."""
-        return RecipeError(f"{self.path}:{self.parser.CurrentLineNumber}:{self.parser.CurrentColumnNumber + 1}: {text}")
-
-    def doctype(self, *_: object) -> None:
-        """Refuse what may hold entities, before they are read."""
-        raise self.fault("has a document type, which FCD has not; remove it")
-
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
+    def start(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
         """A timestep opens, or a row comes."""
         if tag == "timestep":
-            time = self.number(attributes, "time", "timestep")
+            time = place.number(attributes, "time", "timestep", AS_SUMO)
             if time <= self.time:
-                raise self.fault(
+                raise place.fault(
                     f"timestep {time:g} comes after {self.time:g}; write timesteps in their order, each once"
                 )
             self.time, self.step, self.inside = time, self.step + 1, True
         elif tag in ("vehicle", "person"):
-            self.row(tag, attributes)
+            self.row(place, tag, attributes)
 
-    def end(self, tag: str) -> None:
+    def end(self, place: Place, tag: str) -> None:
         """A timestep closes.  SUMO puts who rides exactly where the vehicle is."""
         if tag != "timestep":
             return
         for person, row in self.waiting:
             if row[1:3] not in self.seats:
-                self.keep(person, row)
+                self.keep(place, person, row)
         self.waiting, self.seats, self.inside = [], set(), False
 
-    def row(self, tag: str, attributes: dict[str, str]) -> None:
+    def row(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
         """One vehicle or person at one time."""
         name = attributes.get("id", "")
         label = f"{tag} {name[:40]!r}"
         if not self.inside:
-            raise self.fault(f"{label} is in no timestep; put it into one")
+            raise place.fault(f"{label} is in no timestep; put it into one")
         if not name:
-            raise self.fault(f"{tag} has no id; give it one")
+            raise place.fault(f"{tag} has no id; give it one")
         self.rows += 1
         if self.rows > MOST_ROWS:
-            raise self.fault(f"more than {MOST_ROWS} rows; cut out a part")
+            raise place.fault(f"more than {MOST_ROWS} rows; cut out a part")
         if attributes.get("vehicle"):
             return
-        x, y, angle = (self.number(attributes, key, label) for key in ("x", "y", "angle"))
-        z = self.number(attributes, "z", label) if "z" in attributes else math.nan
+        x, y, angle = (place.number(attributes, key, label, AS_SUMO) for key in ("x", "y", "angle"))
+        z = place.number(attributes, "z", label) if "z" in attributes else math.nan
         row = (self.time, x, y, z, angle, self.step)
         person = Recorded(name, attributes.get("type", ""), tag == "person")
         if person.person:
             self.waiting.append((person, row))
         else:
             self.seats.add((x, y))
-            self.keep(person, row)
+            self.keep(place, person, row)
 
-    def keep(self, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
+    def keep(self, place: Place, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
         """Add a row to those of its vehicle or person."""
         recorded = self.everybody.setdefault((new.person, new.name), new)
         if recorded.rows and recorded.rows[-1][0] == self.time:
-            raise self.fault(f"{new.name[:40]!r} comes twice at time {self.time:g}; keep one of them")
+            raise place.fault(f"{new.name[:40]!r} comes twice at time {self.time:g}; keep one of them")
         recorded.rows.append(row)
         if len(self.everybody) > MOST:
-            raise self.fault(f"more than {MOST} vehicles and persons; cut out a part")
-
-    def number(self, attributes: dict[str, str], key: str, label: str) -> float:
-        """An attribute that is finite."""
-        if key not in attributes:
-            raise self.fault(f"{label} has no {key}; add it, as SUMO does without --fcd-output.attributes")
-        try:
-            value = float(attributes[key])
-        except ValueError:
-            value = math.nan
-        if not abs(value) < 1e7:
-            raise self.fault(f"{label}: {key} is {attributes[key][:40]!r}; it takes a number between -1e7 and 1e7")
-        return value
+            raise place.fault(f"more than {MOST} vehicles and persons; cut out a part")
 
 
 # -- into a street
