@@ -80,7 +80,7 @@ def test_the_threshold_is_the_papers(left, least):
     mine = idm.acceleration(DRIVER, 25.0, 30.0, np.inf, 0.0) - idm.acceleration(DRIVER, 25.0, 30.0, gap, 20.0)
     others = idm.acceleration(DRIVER, 25.0, 30.0, gap, 25.0) - idm.acceleration(DRIVER, 25.0, 30.0, np.inf, 0.0)
     wanted = float(mine + changing.POLITE * others) - least
-    assert changing.gain(DRIVER, 0, here, there, left=left) == pytest.approx(wanted, abs=1e-12)
+    assert changing.gain(DRIVER, 0, here, there, leftwards=left) == pytest.approx(wanted, abs=1e-12)
 
 
 def test_a_stop_in_mid_change_does_not_slide():

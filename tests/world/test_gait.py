@@ -149,9 +149,9 @@ def test_all_walkers_that_can_have_limbs():
             stem = asset if individual == "a" else f"{asset}.{individual}"
             path = rules.model(asset).path.with_name(f"{stem}{low}.geo.usdc")
             limbs = limbs_of(path, asset, individual)
-            whole = sum(len(part.faces) for name in limbs.left if (part := _whole(path, name)))
+            whole = sum(len(part.faces) for name in limbs.rest if (part := _whole(path, name)))
             cut = sum(len(part.faces) for limb in limbs.limbs for part in limb.parts.values())
-            rest = sum(len(part.faces) for part in limbs.left.values() if part)
+            rest = sum(len(part.faces) for part in limbs.rest.values() if part)
             assert whole <= cut + rest < 1.6 * whole, path
 
 

@@ -240,7 +240,7 @@ def test_all_models_that_drive_have_wheels_that_turn():
         for file in sorted((folder / name).glob("*.geo.usdc")):
             wheels = wheels_of(file)
             assert wheels is not None, file
-            assert wheels.left["tyre"] is None, file
+            assert wheels.rest["tyre"] is None, file
             assert len(wheels.wheels) in (2, 4, 6), file
             assert all(abs(wheel.axle[2] - wheel.radius) < 0.01 for wheel in wheels.wheels), file
 

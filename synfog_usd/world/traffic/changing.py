@@ -63,14 +63,14 @@ class Neighbours:
         return float(acceleration(driver, self.v[who], self.v0[who], gap, speed))
 
 
-def gain(driver: Driver, who: int, now: Neighbours, then: Neighbours, *, left: bool) -> float:
+def gain(driver: Driver, who: int, now: Neighbours, then: Neighbours, *, leftwards: bool) -> float:
     """By how much a change of lane is worth more than it has to be [m/s2]; -inf where it is not safe.
 
     Args:
         driver: as all drive.
         who: number of who may change.
         now, then: the lane that they are on, and the other one.
-        left: whether that lies to the left.
+        leftwards: whether that lies to the left.
     """
     lead, follow = then.ahead(who, then.s[who]), then.behind(who, then.s[who])
     after = then.follows(driver, who, lead)
@@ -80,7 +80,7 @@ def gain(driver: Driver, who: int, now: Neighbours, then: Neighbours, *, left: b
     lost = forced - then.follows(driver, follow, lead) if follow >= 0 else 0.0
     leader, last = now.ahead(who, now.s[who]), now.behind(who, now.s[who])
     freed = now.follows(driver, last, leader) - now.follows(driver, last, who) if last >= 0 else 0.0
-    least = GAIN + (KEEPS_RIGHT if left else -KEEPS_RIGHT)
+    least = GAIN + (KEEPS_RIGHT if leftwards else -KEEPS_RIGHT)
     return after - now.follows(driver, who, leader) + POLITE * (lost + freed) - least
 
 

@@ -133,7 +133,7 @@ class Trip:
         x, y: [m]; heading: [rad]; v: speed [m/s]; a: acceleration [m/s2].
         bend: of its path [1/m], positive to the left.
         blinks: 1 while the left indicator is on, -1 the right one, 0 neither.
-        left: from its nose to the end of its route [m].
+        ahead: from its nose to the end of its route [m].
     """
 
     x: Array
@@ -143,7 +143,7 @@ class Trip:
     a: Array
     bend: Array
     blinks: Indices
-    left: Array
+    ahead: Array
 
 
 @dataclass(frozen=True)
@@ -226,10 +226,10 @@ class Street:
         """Where everybody is; with `who`, each row of the state is of the vehicle with that number."""
         who = np.arange(len(state.s)) if who is None else who
         s0, aside, until, turn = self._first[:, who]
-        left, rate = over(state.clock, self._takes[who])
+        undone, rate = over(state.clock, self._takes[who])
         ahead = [np.clip((state.s + d - s0) / EASES_OVER_M, 0.0, 1.0) for d in (0.0, -0.25, 0.25)]
         goal, before, after = (aside + (until - aside) * u * u * (3.0 - 2.0 * u) for u in ahead)
-        side = goal + state.jump * left
+        side = goal + state.jump * undone
         slope = (after - before) / 0.5 + state.jump * rate * np.minimum(state.v, SLOWEST) / SLOWEST / np.maximum(
             state.v, 1.0
         )
@@ -279,18 +279,20 @@ class Street:
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
             signals = (line.s for line in route.signals if self.stops[step, line.street])
             for stop in (*signals, *(gate.s for gate in route.gives_way if self._taken(gate, state))):
-                left = (stop - front)[:, None]
-                stops = (left > -OVER_LINE_M) & (state.v[who, None] ** 2 < 2.0 * LATEST * np.maximum(left, AT_LINE_M))
-                _nearest(gap, speed, who, np.where(stops, left + self.driver.standstill_m - AT_LINE_M, np.inf), None)
+                to_line = (stop - front)[:, None]
+                stops = (to_line > -OVER_LINE_M) & (
+                    state.v[who, None] ** 2 < 2.0 * LATEST * np.maximum(to_line, AT_LINE_M)
+                )
+                _nearest(gap, speed, who, np.where(stops, to_line + self.driver.standstill_m - AT_LINE_M, np.inf), None)
         return np.maximum(gap, 0.05), speed
 
     def _taken(self, line: GiveWay, state: State) -> bool:
         """Whether somebody who is in the junction already is about to come where a route from a line meets theirs."""
         for number, meet in self.meets[line.meet]:
             who, route = np.flatnonzero(state.route == number), self.routes[number]
-            left = meet - state.s[who]
+            to_meet = meet - state.s[who]
             inside = state.s[who] + self.nose[who] > max((gate.s for gate in route.gives_way), default=-np.inf)
-            if (inside & (left > -self.nose[who]) & (left < np.maximum(FREE_M, state.v[who] * FREE_S))).any():
+            if (inside & (to_meet > -self.nose[who]) & (to_meet < np.maximum(FREE_M, state.v[who] * FREE_S))).any():
                 return True
         return False
 
@@ -308,14 +310,16 @@ class Street:
         able &= state.s > self._first[0] + EASES_OVER_M
         for who in np.flatnonzero(able & ((np.arange(len(able)) + step) % CONSIDERS == 0)).tolist():
             route = self.routes[int(state.route[who])]
-            beside = [(number, side) for number, side in ((route.left, True), (route.right, False)) if number >= 0]
-            if not beside:
+            choices = [(number, side) for number, side in ((route.left, True), (route.right, False)) if number >= 0]
+            if not choices:
                 continue
             now = self.places(state)
             here = self.lane(int(state.route[who]), state, now)
-            lanes = [(self.lane(number, state, now), number, side) for number, side in beside]
+            lanes = [(self.lane(number, state, now), number, side) for number, side in choices]
             gains = [
-                gain(self.driver, who, here, there, left=side) if self._clear(number, there.s[who], who) else -np.inf
+                gain(self.driver, who, here, there, leftwards=side)
+                if self._clear(number, there.s[who], who)
+                else -np.inf
                 for there, number, side in lanes
             ]
             best = int(np.argmax(gains))
@@ -355,19 +359,19 @@ class Street:
             clock + rest * np.minimum(v, SLOWEST) / SLOWEST,
         )
         now = self.places(state, np.full(len(t), number))
-        bend, left, blinks = np.zeros(len(t)), np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
+        bend, rest_m, blinks = np.zeros(len(t)), np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
         for which, on in _by_route(route):
             path = self.routes[which].path
             bend[on] = np.interp(state.s[on], path.s, path.curvature)
-            left[on] = path.length - state.s[on] - self.nose[number]
+            rest_m[on] = path.length - state.s[on] - self.nose[number]
             for begin, end, way in self.routes[which].turns:
                 blinks[on] = np.where((state.s[on] > begin) & (state.s[on] < end), way, blinks[on])
         changes = state.clock < self._takes[number] + INDICATES_S
         blinks = np.where(changes, np.sign(jump).astype(np.int64), blinks)
-        return Trip(now.x, now.y, now.heading, state.v, a, bend, blinks, left)
+        return Trip(now.x, now.y, now.heading, state.v, a, bend, blinks, rest_m)
 
 
-def beside(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
+def near_routes(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
     """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
     result = {}
     for number in used:
@@ -436,12 +440,12 @@ def eased(path: Path, vehicle: Vehicle, still: tuple[Array, Array], reach_m: flo
         reach_m: how far it may go.
     """
     most = max(0.0, path.width / 2 - vehicle.width / 2 - 0.1)
-    wanted = float(np.clip(vehicle.aside, -most, most))
+    usual = float(np.clip(vehicle.aside, -most, most))
     s, aside = still
-    beside = aside[(s > vehicle.s - vehicle.behind) & (s < vehicle.s + reach_m)]
-    if not len(beside):
-        return wanted
-    tried = wanted + np.array([0.0, *(sign * 0.05 * k for k in range(1, 13) for sign in (-1, 1))])
-    clear = np.abs(beside[None] - tried[:, None]).min(axis=1) - vehicle.width / 2
+    obstacles = aside[(s > vehicle.s - vehicle.behind) & (s < vehicle.s + reach_m)]
+    if not len(obstacles):
+        return usual
+    tried = usual + np.array([0.0, *(sign * 0.05 * k for k in range(1, 13) for sign in (-1, 1))])
+    clear = np.abs(obstacles[None] - tried[:, None]).min(axis=1) - vehicle.width / 2
     enough = np.flatnonzero(clear > 0.2)
     return float(tried[enough[0]] if len(enough) else tried[np.argmax(clear)])

@@ -91,9 +91,9 @@ def skeleton(asset: str, individual: str) -> Skeleton | None:
     rows = nominal().get(asset, {}).get("joints", {}).get(individual)
     if rows is None:
         return None
-    left, right = rows["swings"]
+    swings = rows["swings"]
     places = {name: np.array(row) for name, row in rows.items() if name != "swings"}
-    return Skeleton(**places, swings=(bool(left), bool(right)))
+    return Skeleton(**places, swings=(bool(swings[0]), bool(swings[1])))
 
 
 @dataclass(frozen=True)

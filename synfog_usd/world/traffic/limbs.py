@@ -51,10 +51,10 @@ class Limb:
 
 @dataclass(frozen=True)
 class Limbs:
-    """All limbs of a model that move, the upper ones first; `left` as of `Wheels`."""
+    """All limbs of a model that move, the upper ones first; `rest` as of `Wheels`."""
 
     limbs: tuple[Limb, ...]
-    left: Mapping[str, Part | None]
+    rest: Mapping[str, Part | None]
 
 
 @functools.cache
@@ -65,7 +65,7 @@ def limbs_of(geometry: Path, asset: str, individual: str) -> Limbs | None:
     if bones is None or layer is None:
         return None
     result: dict[str, dict[str, Part]] = {}
-    left: dict[str, Part | None] = {}
+    rest: dict[str, Part | None] = {}
     for name in (*COAT, *LEGS, *FEET, *HANDS):
         part = read_part(layer, name)
         if part is None:
@@ -74,7 +74,7 @@ def limbs_of(geometry: Path, asset: str, individual: str) -> Limbs | None:
         for limb, faces in owners.items():
             if limb and faces.any():
                 result.setdefault(limb, {})[name] = subset(part, faces)
-        left[name] = subset(part, owners[""]) if owners[""].any() else None
+        rest[name] = subset(part, owners[""]) if owners[""].any() else None
     joints = {"Thigh": bones.hips, "Shin": bones.knees, "Foot": bones.ankles, "Arm": bones.shoulders,
               "Forearm": bones.elbows, "Skirt": bones.hips}  # fmt: skip
     limbs = []
@@ -91,7 +91,7 @@ def limbs_of(geometry: Path, asset: str, individual: str) -> Limbs | None:
             if bones.swings[side] or "rm" not in limb:
                 upper = f"{above}_{suffix}" if above else ""
                 limbs.append(Limb(f"{limb}_{suffix}", upper, (x, y, z), result.get(f"{limb}_{suffix}", {})))
-    return Limbs(tuple(limbs), left)
+    return Limbs(tuple(limbs), rest)
 
 
 def _owners(material: str, part: Part, bones: Skeleton) -> dict[str, Flags]:
@@ -161,7 +161,7 @@ def _of_legs(centres: Array, bones: Skeleton) -> dict[str, Flags]:
 def _of_arms(centres: Array, normals: Array, bones: Skeleton, *, hands: bool) -> dict[str, Flags]:
     """Sleeves look away from the bones of their arm; what does not belongs to the trunk."""
     size = _size(bones)
-    taken = np.zeros(len(centres), dtype=bool)
+    sleeves = np.zeros(len(centres), dtype=bool)
     shoulder_too = np.zeros(len(centres), dtype=bool)
     owners: dict[str, Flags] = {}
     for side, suffix in enumerate(SIDES):
@@ -175,7 +175,7 @@ def _of_arms(centres: Array, normals: Array, bones: Skeleton, *, hands: bool) ->
             near = _away(centres, hand, hand + HAND_LENGTH_M * size * fore)[0] < HAND_M * size
             near &= np.linalg.norm(centres - shoulder, axis=1) > 0.22 * size
             owners[f"Forearm_{suffix}"] = near
-            taken |= near
+            sleeves |= near
             continue
         lower_away, lower = _away(centres, elbow, hand + 0.03 * size * fore)
         upper_away, high = _away(centres, shoulder, elbow)
@@ -186,7 +186,7 @@ def _of_arms(centres: Array, normals: Array, bones: Skeleton, *, hands: bool) ->
         on_arm = (away < SLEEVE_M * size) & (looks | (lower_away < 0.6 * SLEEVE_M * size))
         owners[f"Arm_{suffix}"] = (on_arm | around) & (from_elbow < ROUND_M * size)
         owners[f"Forearm_{suffix}"] = on_arm & (from_elbow > -ROUND_M * size)
-        taken |= on_arm & ~around
+        sleeves |= on_arm & ~around
         shoulder_too |= around
-    owners[""] = ~taken | shoulder_too
+    owners[""] = ~sleeves | shoulder_too
     return owners

@@ -23,7 +23,7 @@ from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, Site, WorldSpec
 from synfog_usd.world.traffic import walk
 from synfog_usd.world.traffic.changing import TAKES_S
-from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Trip, Vehicle, beside, drive, eased
+from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Run, Street, Trip, Vehicle, drive, eased, near_routes
 from synfog_usd.world.traffic.idm import Driver
 from synfog_usd.world.traffic.paths import Route, crosswalks, footways, routes
 from synfog_usd.world.traffic.signals import MAIN, SIDE, Programme, programme
@@ -143,7 +143,7 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     places = walk.plan(list(walkers.values()), footways(spec.road), obstacles, steps, pace.seed, openings)
     outline = shapely.get_coordinates([shapely.segmentize(shapely.Polygon(corners), OUTLINE_M) for corners in fixed])
     driven = {vehicle.route for vehicle in vehicles}
-    still_at = beside(ways, driven | {number for number, route in enumerate(ways) if _reached(route)}, outline)
+    still_at = near_routes(ways, driven | {number for number, route in enumerate(ways) if _reached(route)}, outline)
     vehicles = [
         replace(car, until=eased(ways[car.route].path, car, still_at[car.route], car.v0 * float(t[-1]) + 10.0))
         for car in vehicles
@@ -231,14 +231,14 @@ def _reached(route: Route) -> bool:
 
 
 def _in_lane(
-    ways: Sequence[Route], x: float, y: float, heading: float, beside: float, rng: np.random.Generator
+    ways: Sequence[Route], x: float, y: float, heading: float, most_m: float, rng: np.random.Generator
 ) -> tuple[int, float, float, float] | None:
     """Route, station, offset [m] and turn [rad] of who is at a place, drawn among routes that begin there."""
     result = []
     for number, route in enumerate(ways):
         s, aside = (float(v) for v in route.path.nearest(np.array([x, y])))
         turn = math.remainder(math.radians(heading) - float(route.path.at(s)[2]), 2 * math.pi)
-        if abs(aside) < route.path.width / 2 + beside and abs(turn) < TURNED:
+        if abs(aside) < route.path.width / 2 + most_m and abs(turn) < TURNED:
             result.append((number, s, aside, turn))
     if not result:
         return None
@@ -307,7 +307,7 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
         if rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
             roll = roll * 0.0
     x, y, z, heading, pitch, roll = (
-        column + (drawn - column[1]) for column, drawn in zip((x, y, z, heading, pitch, roll), first, strict=True)
+        column + (initial - column[1]) for column, initial in zip((x, y, z, heading, pitch, roll), first, strict=True)
     )
     travel = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]  # not along the middle of the lane
     braked = index >= 0 and spec.placed[index].lit.get("lamps") == "brake"
@@ -318,7 +318,7 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
         bend=trip.bend,
         brakes=_brake_lights(trip, braked),
         blinks=np.where((t * BLINKS_HZ) % 1.0 >= 0.5, trip.blinks, 0),
-        shown=trip.left > 0.5,
+        shown=trip.ahead > 0.5,
     )  # fmt: skip
 
 
@@ -336,8 +336,8 @@ def _brake_lights(trip: Trip, on: bool) -> Flags:
     result = []
     for frame in range(len(trip.v)):
         if frame > 1:
-            stands, stood = (trip.v[k] < STANDS_M_S for k in (frame, frame - 1))
-            on = bool(trip.a[frame] < BRAKES_M_S2 or (stands and (on or not stood)))
+            stands, waited = (trip.v[k] < STANDS_M_S for k in (frame, frame - 1))
+            on = bool(trip.a[frame] < BRAKES_M_S2 or (stands and (on or not waited)))
         result.append(on)
     return np.array(result)
 
@@ -353,8 +353,8 @@ def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement
     none = np.zeros(len(t))
     speed = np.gradient(travel, t)
     x, y, z, heading = (
-        column + (drawn - column[1])
-        for column, drawn in zip((x, y, z, heading), (p.x, p.y, p.z, p.heading), strict=True)
+        column + (initial - column[1])
+        for column, initial in zip((x, y, z, heading), (p.x, p.y, p.z, p.heading), strict=True)
     )
     return Track(
         x=x, y=y, z=z, heading=heading, pitch=none, roll=none, speed=speed, travel=travel, bend=none,

@@ -193,13 +193,13 @@ def _of_crossing(site: Crossing) -> Network:
     arms = network.roads[:4]
     ways = []
     for arm in arms:
-        for other in arms:
-            if other is not arm:
-                near, far = _mouth(arm, 1), _mouth(other, -1)
-                widths = arm.strips[0].widths[0][1], other.strips[0].widths[0][1]
+        for goal in arms:
+            if goal is not arm:
+                near, far = _mouth(arm, 1), _mouth(goal, -1)
+                widths = arm.strips[0].widths[0][1], goal.strips[0].widths[0][1]
                 ways.append(
                     _through(
-                        network, 1, (arm.number, 1, "start"), (other.number, -1, "start"), _turn(near, far), widths
+                        network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), _turn(near, far), widths
                     )
                 )
     network.junctions.append(Junction(1, "crossing", ways))

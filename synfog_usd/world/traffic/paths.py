@@ -218,9 +218,9 @@ def _of_road(road: Road) -> Iterator[Route]:
 
 def _beside(lanes: Sequence[Lane], lane: Lane, edge: float) -> int:
     """Number of the lane that meets another at an edge, for cars and the same way; -1 for none."""
-    for number, other in enumerate(lanes):
-        alike = other is not lane and other.kind == lane.kind == "lane" and other.way == lane.way
-        if alike and min(abs(other.low - edge), abs(other.high - edge)) < EDGE_M:
+    for number, candidate in enumerate(lanes):
+        same = candidate is not lane and candidate.kind == lane.kind == "lane" and candidate.way == lane.way
+        if same and min(abs(candidate.low - edge), abs(candidate.high - edge)) < EDGE_M:
             return number
     return -1
 
@@ -297,8 +297,10 @@ def _middle(site: Roundabout) -> float:
 
 
 def _arm(site: Roundabout, arm: int, way: int) -> tuple[Array, float]:
-    """(N, 2) points of an arm's lane from its end to the circle [m], inwards (-1) or outwards (1), and the angle
-    [rad, counter-clockwise from +X] at which it meets the middle of the lane that goes round.
+    """(N, 2) points of an arm's lane from its end to the circle [m], inwards (-1) or outwards (1), and where it meets
+    the ring.
+
+    That is an angle of the middle of the lane that goes round [rad, counter-clockwise from +X].
     """
     road, r = site.arms[arm], site.corners[arm if way < 0 else arm - 1] + site.lane_width / 2
     line, e = road.reference_line, site.half_island + site.lane_width / 2

@@ -72,7 +72,7 @@ def read(path: Path) -> Environment:
     """
     reader = _EnvironmentReader()
     parse(path, "OpenSCENARIO", reader)
-    if not reader.found:
+    if not reader.begun:
         raise RecipeError(f"{path}: no Environment in it; an EnvironmentAction of its Init has one, or its catalog")
     return reader.environment
 
@@ -84,13 +84,13 @@ class _EnvironmentReader:
     Attributes:
         parameters: declared so far, by name.
         above: elements that are open, from the outermost.
-        found: whether an environment was read to its end, or is being read.
+        begun, done: whether an environment was begun, and read to its end.
     """
 
     environment: Environment = field(default_factory=Environment)
     parameters: dict[str, str] = field(default_factory=dict)
     above: list[str] = field(default_factory=list)
-    found: bool = False
+    begun: bool = False
     done: bool = False
     middle: tuple[float, float, float] | None = None
 
@@ -106,15 +106,15 @@ class _EnvironmentReader:
         elif tag == "ParameterDeclaration" and "name" in attributes:
             self.parameters[attributes["name"]] = attributes.get("value", "")
         elif tag == "Environment" and not self.done:
-            self.found = True
-        elif self.found and not self.done:
+            self.begun = True
+        elif self.begun and not self.done:
             values = {key: self._value(place, text) for key, text in attributes.items()}
             self._read(place, tag, values)
 
     def end(self, place: Place, tag: str) -> None:
         """An element closes."""
         self.above.pop()
-        self.done = self.done or (tag == "Environment" and self.found)
+        self.done = self.done or (tag == "Environment" and self.begun)
 
     def _value(self, place: Place, text: str) -> str:
         """A value, or that of the parameter which it names."""

@@ -54,10 +54,10 @@ class Programme:
 
     def walks(self, street: int, until: float) -> list[tuple[float, float]]:
         """From when to when [s] people may set out over a street, up to a time: while the other one is green."""
-        other = SIDE if street == MAIN else MAIN
-        first = self._begin(other) - self.elapsed
+        green_street = SIDE if street == MAIN else MAIN
+        first = self._begin(green_street) - self.elapsed
         begins = first + self.cycle * np.arange(-1, int(until / self.cycle) + 2)
-        return [(float(begin), float(begin) + self.greens[other] - LAST_WALK_S) for begin in begins]
+        return [(float(begin), float(begin) + self.greens[green_street] - LAST_WALK_S) for begin in begins]
 
 
 def programme(street: int, seed: int) -> Programme:

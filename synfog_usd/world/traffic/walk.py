@@ -163,8 +163,8 @@ def plan(
         walker, way = walkers[number], routes[number]
         away = np.hypot(*(result[..., :2] - (walker.x, walker.y)).T).min(axis=1)
         near = [k for k in np.flatnonzero(away < walker.speed * times[-1] + 3.0) if k != number]
-        beside = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
-        result[:, number] = _chosen(walker, way, times, stands, beside)
+        neighbours = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
+        result[:, number] = _chosen(walker, way, times, stands, neighbours)
     return result
 
 
@@ -177,7 +177,7 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
     return np.stack([places[:, :1] + x * c - y * s, places[:, 1:2] + x * s + y * c], axis=-1)
 
 
-def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, beside: Sequence[Array]) -> Array:
+def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, neighbours: Sequence[Array]) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     farthest = 0
     for slower in SLOWER:
@@ -185,7 +185,7 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, bes
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
-            free = _free_until(way.position(travel, shift), walker, stands, beside)
+            free = _free_until(way.position(travel, shift), walker, stands, neighbours)
             if free == len(times):
                 return np.c_[way.position(travel, shift), travel]
             farthest = max(farthest, free)
@@ -196,21 +196,21 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, bes
             travel = np.maximum.accumulate(
                 np.where(times < times[stop] + pause, np.minimum(travel, usual[stop]), travel)
             )
-            if _free_until(way.position(travel, 0.0), walker, stands, beside) == len(times):
+            if _free_until(way.position(travel, 0.0), walker, stands, neighbours) == len(times):
                 return np.c_[way.position(travel, 0.0), travel]
     travel = np.zeros(len(times))
     return np.c_[np.tile((walker.x, walker.y, walker.heading), (len(times), 1)), travel]
 
 
-def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, beside: Sequence[Array]) -> int:
+def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, neighbours: Sequence[Array]) -> int:
     """Number of the step at which somebody runs into something; the number of steps where nobody does."""
     mine = shapely.polygons(outlines(places[::EVERY], walker.box, ROOM_M))
     hits = [stands.query(mine, predicate="intersects")[0]]
-    for other in beside:
-        close = np.hypot(*(other.mean(axis=1) - places[::EVERY, :2]).T) < 4.0
+    for neighbour in neighbours:
+        close = np.hypot(*(neighbour.mean(axis=1) - places[::EVERY, :2]).T) < 4.0
         if close.any():
             at = np.flatnonzero(close)
-            hits.append(at[shapely.intersects(mine[at], shapely.polygons(other[at]))])
+            hits.append(at[shapely.intersects(mine[at], shapely.polygons(neighbour[at]))])
     every = np.concatenate(hits)
     every = every[every > 0]  # as they were drawn they stand
     return int(every.min()) * EVERY if len(every) else len(places)
@@ -227,9 +227,9 @@ def _paced(walkers: Sequence[Walker], seed: int) -> list[Walker]:
     for _ in range(3):
         for i, walker in enumerate(paced):
             together = [
-                other.speed for other in paced
-                if math.hypot(other.x - walker.x, other.y - walker.y) < TOGETHER_M
-                and abs(math.remainder(other.heading - walker.heading, 2 * math.pi)) < TOGETHER
+                friend.speed for friend in paced
+                if math.hypot(friend.x - walker.x, friend.y - walker.y) < TOGETHER_M
+                and abs(math.remainder(friend.heading - walker.heading, 2 * math.pi)) < TOGETHER
             ]  # fmt: skip
             paced[i] = replace(walker, speed=min(together))
     return paced

@@ -49,12 +49,12 @@ class Wheels:
 
     Attributes:
         wheels: from front to rear, left before right.
-        left: by material what of its mesh is no wheel, None where nothing is.
+        rest: by material what of its mesh is no wheel, None where nothing is.
         wheelbase: from the rearmost axle to the front one [m].
     """
 
     wheels: tuple[Wheel, ...]
-    left: Mapping[str, Part | None]
+    rest: Mapping[str, Part | None]
     wheelbase: float
 
 
@@ -69,7 +69,7 @@ def wheels_of(geometry: Path) -> Wheels | None:
     discs = _discs(tyre)
     narrow = all(abs(x) < NARROW_M for x, _, _, _ in discs)
     result: list[dict[str, Part]] = [{} for _ in discs]
-    left: dict[str, Part | None] = {}
+    rest: dict[str, Part | None] = {}
     for name, part in parts.items():
         if part is None or (name == "chrome" and not narrow):
             continue
@@ -77,7 +77,7 @@ def wheels_of(geometry: Path) -> Wheels | None:
         for number, item in enumerate(result):
             if (owner == number).any():
                 item[name] = subset(part, owner == number)
-        left[name] = subset(part, owner < 0) if (owner < 0).any() else None
+        rest[name] = subset(part, owner < 0) if (owner < 0).any() else None
     middles = [y for _, y, _, _ in discs]
     rows = sorted(set(middles), reverse=True)
     wheels = []
@@ -86,7 +86,7 @@ def wheels_of(geometry: Path) -> Wheels | None:
         side = "" if abs(x) < NARROW_M else ("_Left" if x < 0 else "_Right")
         wheels.append(Wheel(f"{axle}{side}", (x, y, z), radius, item))
     wheels.sort(key=lambda item: (-item.axle[1], item.axle[0]))
-    return Wheels(tuple(wheels), left, max(middles) - min(middles))
+    return Wheels(tuple(wheels), rest, max(middles) - min(middles))
 
 
 @functools.cache
@@ -96,8 +96,8 @@ def sides_of(geometry: Path, name: str) -> dict[str, Part]:
     part = read_part(layer, name) if layer else None
     if part is None:
         return {}
-    left = part.points[part.faces, 0].mean(axis=1) < 0.0
-    return {side: subset(part, half) for side, half in (("left", left), ("right", ~left)) if half.any()}
+    negative = part.points[part.faces, 0].mean(axis=1) < 0.0
+    return {side: subset(part, half) for side, half in (("left", negative), ("right", ~negative)) if half.any()}
 
 
 def _discs(tyre: Part) -> list[tuple[float, float, float, float]]:

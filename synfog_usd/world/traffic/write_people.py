@@ -52,7 +52,7 @@ def _place(limb: Limb, limbs: Limbs) -> str:
     """Path of a limb below its person: each hangs on the one above."""
     path, above = limb.name, limb.above
     while above:
-        upper = next(other for other in limbs.limbs if other.name == above)
+        upper = next(item for item in limbs.limbs if item.name == above)
         path, above = f"{upper.name}/{path}", upper.above
     return f"Limbs/{path}"
 
@@ -60,7 +60,7 @@ def _place(limb: Limb, limbs: Limbs) -> str:
 def _author_parts(layer: Sdf.Layer, path: str, limbs: Limbs) -> None:
     """What a reference brings to somebody whose limbs turn: the limbs, and meshes without them."""
     scratch = begin(path)
-    for name, part in limbs.left.items():
+    for name, part in limbs.rest.items():
         if part is None:
             scratch.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
         else:

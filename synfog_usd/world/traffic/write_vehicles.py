@@ -62,7 +62,7 @@ def _author_wheels(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tr
 def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
     """What a reference brings to a model whose wheels turn: the wheels, and meshes without them."""
     scratch = begin(path)
-    for name, part in wheels.left.items():
+    for name, part in wheels.rest.items():
         if part is None:
             scratch.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
         else:

@@ -175,11 +175,11 @@ def _write_road(root: ElementTree.Element, road: OpenRoad) -> None:
     lanes = _put(element, "lanes")
     _cubics(lanes, "laneOffset", road.offset)
     section = _put(lanes, "laneSection", s=0.0)
-    left = sorted((strip for strip in road.strips if strip.number > 0), key=lambda strip: -strip.number)
+    leftwards = sorted((strip for strip in road.strips if strip.number > 0), key=lambda strip: -strip.number)
     right = sorted((strip for strip in road.strips if strip.number < 0), key=lambda strip: -strip.number)
-    if left:
+    if leftwards:
         group = _put(section, "left")
-        for strip in left:
+        for strip in leftwards:
             _write_lane(group, strip)
     middle = _put(_put(section, "center"), "lane", id="0", type="none", level="false")
     _put(middle, "roadMark", sOffset=0.0, type=road.centre, color="white", width=0.12)
