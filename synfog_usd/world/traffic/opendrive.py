@@ -198,9 +198,7 @@ def _of_crossing(site: Crossing) -> Network:
                 near, far = _mouth(arm, 1), _mouth(goal, -1)
                 widths = arm.strips[0].widths[0][1], goal.strips[0].widths[0][1]
                 ways.append(
-                    _through(
-                        network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), _turn(near, far), widths
-                    )
+                    _through(network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), _turn(near, far), widths)
                 )
     network.junctions.append(Junction(1, "crossing", ways))
     return network
