@@ -25,7 +25,7 @@ from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, WorldSpec
 from synfog_usd.world.traffic.motion import BRAKES_M_S2, Clip, Track, ground, slopes
-from synfog_usd.world.traffic.safe_xml import Place, parse
+from synfog_usd.world.traffic.safe_xml import ParserPlace, parse
 from synfog_usd.world.traffic.walk import SPEED_M_S
 
 EGO = "ego"
@@ -87,7 +87,7 @@ class _FcdReader:
         self.waiting: list[tuple[Recorded, tuple[float, float, float, float, float, int]]] = []
         self.seats: set[tuple[float, float]] = set()
 
-    def start(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
+    def start(self, place: ParserPlace, tag: str, attributes: dict[str, str]) -> None:
         """A timestep opens, or a row comes."""
         if tag == "timestep":
             time = place.number(attributes, "time", "timestep", AS_SUMO)
@@ -99,7 +99,7 @@ class _FcdReader:
         elif tag in ("vehicle", "person"):
             self.row(place, tag, attributes)
 
-    def end(self, place: Place, tag: str) -> None:
+    def end(self, place: ParserPlace, tag: str) -> None:
         """A timestep closes.  SUMO puts who rides exactly where the vehicle is."""
         if tag != "timestep":
             return
@@ -108,7 +108,7 @@ class _FcdReader:
                 self.keep(place, person, row)
         self.waiting, self.seats, self.inside = [], set(), False
 
-    def row(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
+    def row(self, place: ParserPlace, tag: str, attributes: dict[str, str]) -> None:
         """One vehicle or person at one time."""
         name = attributes.get("id", "")
         label = f"{tag} {name[:40]!r}"
@@ -131,7 +131,7 @@ class _FcdReader:
             self.seats.add((x, y))
             self.keep(place, person, row)
 
-    def keep(self, place: Place, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
+    def keep(self, place: ParserPlace, new: Recorded, row: tuple[float, float, float, float, float, int]) -> None:
         """Add a row to those of its vehicle or person."""
         recorded = self.everybody.setdefault((new.person, new.name), new)
         if recorded.rows and recorded.rows[-1][0] == self.time:

@@ -20,14 +20,14 @@ MOST_BYTES, MOST_OF_A_TAG = 1 << 30, 1 << 20
 class Elements(Protocol):
     """What is done with a file's elements as they are parsed."""
 
-    def start(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
+    def start(self, place: ParserPlace, tag: str, attributes: dict[str, str]) -> None:
         """An element opens."""
 
-    def end(self, place: Place, tag: str) -> None:
+    def end(self, place: ParserPlace, tag: str) -> None:
         """An element closes."""
 
 
-class Place:
+class ParserPlace:
     """Where the parser is, and the numbers that it finds there.
 
     Args:
@@ -67,7 +67,7 @@ def parse(path: Path, kind: str, elements: Elements) -> None:
     Raises:
         RecipeError: it cannot be read, is no XML, or is too large; says where.
     """
-    place = Place(path, kind)
+    place = ParserPlace(path, kind)
     place.parser.StartElementHandler = lambda tag, attributes: elements.start(place, tag, attributes)
     place.parser.EndElementHandler = lambda tag: elements.end(place, tag)
     try:

@@ -16,7 +16,7 @@ from pxr import Gf, Sdf
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.language import Distribution, Recipe
 from synfog_usd.world.spec import WorldSpec
-from synfog_usd.world.traffic.safe_xml import Place, parse
+from synfog_usd.world.traffic.safe_xml import ParserPlace, parse
 from synfog_usd.world.traffic.samples import KINDS, attribute, order
 
 FOG = "scenario"
@@ -94,7 +94,7 @@ class _EnvironmentReader:
     done: bool = False
     middle: tuple[float, float, float] | None = None
 
-    def start(self, place: Place, tag: str, attributes: dict[str, str]) -> None:
+    def start(self, place: ParserPlace, tag: str, attributes: dict[str, str]) -> None:
         """An element opens."""
         if not self.above and tag != "OpenSCENARIO":
             raise place.fault(f"{tag[:40]} is not OpenSCENARIO; its root is called so")
@@ -111,12 +111,12 @@ class _EnvironmentReader:
             values = {key: self._value(place, text) for key, text in attributes.items()}
             self._read(place, tag, values)
 
-    def end(self, place: Place, tag: str) -> None:
+    def end(self, place: ParserPlace, tag: str) -> None:
         """An element closes."""
         self.above.pop()
         self.done = self.done or (tag == "Environment" and self.begun)
 
-    def _value(self, place: Place, text: str) -> str:
+    def _value(self, place: ParserPlace, text: str) -> str:
         """A value, or that of the parameter which it names."""
         if not text.startswith("$"):
             return text
@@ -125,7 +125,7 @@ class _EnvironmentReader:
             raise place.fault(f"{text[:40]!r} is no parameter that is declared before; write the value in its place")
         return self.parameters[name]
 
-    def _read(self, place: Place, tag: str, values: dict[str, str]) -> None:
+    def _read(self, place: ParserPlace, tag: str, values: dict[str, str]) -> None:
         if tag == "Fog":
             visual = place.number(values, "visualRange", tag)
             if not visual > 0.0:
