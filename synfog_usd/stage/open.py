@@ -107,9 +107,9 @@ def fence_of(stage: Usd.Stage) -> Fence:
 def plain_errors(work: Callable[Concatenate[Usd.Stage, P], R]) -> Callable[Concatenate[Usd.Stage, P], R]:
     """Turn what goes wrong while a stage is read into errors for the user, where the stage's file is the cause.
 
-    These are what the USD library raises (arrays of a .usdc are read when their values are
-    asked for), and any failure while an attribute has another type than its schema's.
-    The library's own warnings do not reach the terminal.
+    The causes are damage that the USD library finds, for it reads arrays of a .usdc late, and
+    attributes of another type than their schema's.  The library's own warnings do not reach
+    the terminal.
     """
 
     @functools.wraps(work)
@@ -264,7 +264,7 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
     converts nothing.
     """
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    other = {
+    units = {
         layer.identifier: metres
         for layer in stage.GetUsedLayers()
         if layer.pseudoRoot.HasInfo("metersPerUnit")
@@ -272,19 +272,19 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
         and not 0.999 < metres / unit < 1.001
         and layer.identifier != stage.GetRootLayer().identifier
     }
-    if not other:
+    if not units:
         return []
 
     def text(layer: Sdf.Layer) -> str:
         return (
-            f"{Path(layer.realPath).name}, in units of {other[layer.identifier]:g} m where the stage has {unit:g} m; "
+            f"{Path(layer.realPath).name}, in units of {units[layer.identifier]:g} m where the stage has {unit:g} m; "
             f"nothing scales it, so it is drawn at another size than it was made"
         )
 
     notes = [
         Note("warning", "/", f"has the sublayer {text(layer)}")
         for layer in stage.GetLayerStack(includeSessionLayers=False)
-        if layer.identifier in other
+        if layer.identifier in units
     ]
     references = Usd.PrimCompositionQuery.Filter()
     references.arcTypeFilter = Usd.PrimCompositionQuery.ArcTypeFilter.ReferenceOrPayload
@@ -296,8 +296,8 @@ def unit_notes(stage: Usd.Stage) -> list[Note]:
         for arc in Usd.PrimCompositionQuery(prim, references).GetCompositionArcs():
             layer = arc.GetTargetLayer()
             scale = abs(transforms.GetLocalToWorldTransform(prim).GetDeterminant3()) ** (1.0 / 3.0)
-            if layer.identifier in other and 0.99 < scale < 1.01:  # any other scale is an author's own answer
-                factor = other[layer.identifier] / unit
+            if layer.identifier in units and 0.99 < scale < 1.01:  # any other scale is an author's own answer
+                factor = units[layer.identifier] / unit
                 notes.append(Note("warning", str(prim.GetPath()), f"refers to {text(layer)}: scale it by {factor:g}"))
     return notes
 
@@ -449,7 +449,7 @@ def _choose(stage: Usd.Stage, choice: str) -> None:
     where, name, variant = _variant_named(choice)
     prim = stage.GetPrimAtPath(where)
     if not prim:
-        having = [str(other.GetPath()) for other in stage.Traverse() if other.HasVariantSets()]
+        having = [str(prim.GetPath()) for prim in stage.Traverse() if prim.HasVariantSets()]
         listed = (
             f"variants are on {', '.join(having[:8])}{', ...' if len(having) > 8 else ''}"
             if having

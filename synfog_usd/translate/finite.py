@@ -100,5 +100,5 @@ def of_words(part: W, number: float) -> W:
         result = number
     elif isinstance(part, np.ndarray) and part.dtype.kind == "f" and not np.isfinite(part.sum(dtype=np.float64)):
         result = np.where(np.isfinite(part), part, np.array(number, dtype=part.dtype))
-    kept: W = result
-    return kept
+    mended_part: W = result
+    return mended_part

@@ -246,24 +246,24 @@ class SurfaceInputs:
 
     def shares(self, name: str, values: Sequence[float]) -> list[float]:
         """A colour or number kept within 0 to 1, with a note where it was outside."""
-        kept = [min(max(float(c), 0.0), 1.0) for c in values]
-        if any(abs(share - value) > ROUNDED for share, value in zip(kept, values, strict=True)):
-            authored, drawn = (", ".join(f"{c:.4g}" for c in numbers) for numbers in (values, kept))
+        shares = [min(max(float(c), 0.0), 1.0) for c in values]
+        if any(abs(share - value) > ROUNDED for share, value in zip(shares, values, strict=True)):
+            authored, nearest = (", ".join(f"{c:.4g}" for c in numbers) for numbers in (values, shares))
             self.notes.warn(
-                self.shader.GetPath(), f"{self.names[name]} is {authored}, and 0 to 1 can be drawn; {drawn} is taken"
+                self.shader.GetPath(), f"{self.names[name]} is {authored}, and 0 to 1 can be drawn; {nearest} is taken"
             )
-        return kept
+        return shares
 
     def _limited(self, name: str, pixels: Pixels) -> Pixels:
         """A picture kept within 0 to 1, with a note where it was outside."""
-        kept = self.images.once(_limited, pixels)
-        if kept is not pixels and np.abs(kept - pixels).max() > ROUNDED:
+        limited = self.images.once(_limited, pixels)
+        if limited is not pixels and np.abs(limited - pixels).max() > ROUNDED:
             self.notes.warn(
                 self.shader.GetPath(),
                 f"the picture of {self.names[name]} has values from {pixels.min():.4g} to {pixels.max():.4g}, and 0 to "
                 f"1 can be drawn; what is outside is taken as 0 or 1",
             )
-        return kept
+        return limited
 
     def index(self, name: str, default: float) -> float:
         """An index of refraction, with a note on one that nothing clear has."""

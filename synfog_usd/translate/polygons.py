@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import mapbox_earcut
 import numpy as np
 import numpy.typing as npt
-import pythoncdt
 
 from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.translate.geometry import cross
@@ -72,10 +71,6 @@ def triangulate(
     order = np.argsort(face_of, kind="stable")
     return triangles[order], face_of[order], crossed
 
-
-LONG = 2048
-"""Corners of an outline up to which its ears are cut, whose time may go with their square.
-"""
 
 SMALL = 512
 """Corners of a mesh up to which its topology is remembered, for props in many copies."""
@@ -202,7 +197,7 @@ def _ears(polygon: Array) -> tuple[Indices, bool]:
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(arms, axis, axis=1)
     flip = (normal[axis] < 0) != (axis == 1)
-    ears = _cut(flat) if len(flat) <= LONG else _constrained(flat)
+    ears = _cut(flat)
     a, b, c = (flat[ears[:, k]] for k in range(3))
     areas = _cross2(b - a, c - a)
     if (areas.sum() < 0.0) != flip:
@@ -222,25 +217,6 @@ def _cut(flat: Array) -> Indices:
     wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
     ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32))
     return ears.astype(np.int64).reshape(-1, 3)
-
-
-def _constrained(flat: Array) -> Indices:
-    """Delaunay triangles within an outline (n, 2), (M, 3), in n log n; those of a fan where its edges cross."""
-    points, first, point = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-    edges = np.sort(np.stack([point.ravel(), np.roll(point.ravel(), -1)], axis=1), axis=1)
-    edges, times = np.unique(edges, axis=0, return_counts=True)
-    bounds = edges[(times % 2 == 1) & (edges[:, 0] != edges[:, 1])]  # there and back, as to a hole, bounds nothing
-    mesh = pythoncdt.Triangulation(
-        pythoncdt.VertexInsertionOrder.AUTO, pythoncdt.IntersectingConstraintEdges.NOT_ALLOWED, 0.0
-    )
-    try:
-        mesh.insert_vertices(np.ascontiguousarray(points))  # type: ignore[call-overload] # takes any buffer
-        mesh.insert_edges(np.ascontiguousarray(bounds.astype(np.uintc)))  # type: ignore[call-overload]
-    except RuntimeError:
-        fan = np.arange(1, len(flat) - 1)
-        return np.stack([np.zeros_like(fan), fan, fan + 1], axis=1)
-    mesh.erase_outer_triangles_and_holes()
-    return np.asarray(first[mesh.triangles_array()["vertices"]])
 
 
 def _cross2(u: Array, v: Array) -> Array:
