@@ -278,7 +278,7 @@ def _prototypes(
 def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
     """Materials that can be drawn together with others -> what those have in common."""
     kinds = {
-        key: surface.alike(value)
+        key: surface.kind_of(value)
         for key, value in source.world.items()
         if key.startswith("mat_") and key not in source.reflectance_of
     }

@@ -222,7 +222,7 @@ class _Objects:
         if value.get("type") == "mesh":
             inner = {name: self._convert(value[name], f"{key}.{name}") for name in ("bsdf", "emitter") if name in value}
             return _mesh(self._mi, value, key, **inner)
-        value = surface.drawn(value)
+        value = surface.for_mitsuba(value)
         leaves = {
             name: self._convert(item, f"{key}.{name}") if isinstance(item, Mapping) else _leaf(self._mi, name, item)
             for name, item in value.items()
@@ -262,7 +262,7 @@ def make_bsdf(part: Mapping[str, Any]) -> BSDF:
     def convert(value: Mapping[str, Any]) -> dict[str, Any]:
         return {
             name: convert(item) if isinstance(item, Mapping) else _leaf(mi, name, item)
-            for name, item in surface.drawn(value).items()
+            for name, item in surface.for_mitsuba(value).items()
         }
 
     return mi.load_dict(convert(part))

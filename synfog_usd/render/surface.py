@@ -30,7 +30,8 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -39,15 +40,31 @@ from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.scene import mean_colour, texels
 
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import (
+        BSDF,
+        BSDFContext,
+        BSDFSample3f,
+        Color3f,
+        Point2f,
+        Point3f,
+        Properties,
+        SurfaceInteraction3f,
+        Texture,
+        TraversalCallback,
+        Vector2f,
+        Vector3f,
+        Vector4f,
+    )
+
 TYPE = "preview_surface"
 
 MIN_ALPHA = 1e-3
 """Width of the sharpest lobe: single precision holds nothing sharper."""
 
 LENS_M = 0.1
-"""Radius [m] of the glass of a lamp that is a point, in surfaces that mirror it: a headlight's is 0.05 to 0.1, a street
-lamp's 0.1 to 0.2.
-"""
+"""Radius [m] of the glass of a lamp that is a point, in surfaces that mirror it: about that of a headlight."""
 
 MOST_SPREAD = 0.15
 """Roughness [rad] up to which a path's own spread widens what the first path of a pixel shows in a mirror, see `blur`.
@@ -150,13 +167,15 @@ def albedo_of(eta: float) -> Array:
     place = min((eta - 1.0) / (eta + 1.0), MOST) * STEPS
     step = min(int(place), STEPS - 1)
     low, high = lobe_albedo(step), lobe_albedo(step + 1)
-    made = low + (place - step) * (high - low)
-    return np.concatenate([made, 0.0 * made[:1]]).transpose(1, 2, 0)
+    between = low + (place - step) * (high - low)
+    return np.concatenate([between, 0.0 * between[:1]]).transpose(1, 2, 0)
 
 
-def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What Mitsuba is told of a part of a scene: the BSDF without `twosided`, which would have it in a kernel twice, or
-    its stand-in; Mitsuba's matt one, both sides alike, as one of ours; any other as it is.
+def for_mitsuba(part: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A part of a scene as Mitsuba gets it.
+
+    Our BSDF comes without `twosided`, which would have it in a kernel twice, or as its stand-in.  Mitsuba's matt one,
+    both sides alike, becomes one of ours.  Any other part stays as it is.
     """
     if backend.is_scalar():
         return stand_in(part) if part.get("type") == TYPE else part
@@ -168,9 +187,9 @@ def drawn(part: Mapping[str, Any]) -> Mapping[str, Any]:
     return inside if inside["type"] == TYPE else part
 
 
-def alike(part: Mapping[str, Any]) -> tuple[Any, ...] | None:
+def kind_of(part: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """What surfaces that can be drawn together have in common; None of one that must be drawn by itself."""
-    part = drawn(part)
+    part = for_mitsuba(part)
     if part.get("type") != TYPE or "specular" in part or any(isinstance(part.get(name), Mapping) for name in _INPUTS):
         return None
     colour = part["base_color"]
@@ -181,36 +200,36 @@ def alike(part: Mapping[str, Any]) -> tuple[Any, ...] | None:
 
 
 def together(parts: Sequence[Mapping[str, Any]], number: Indices) -> dict[str, Any]:
-    """Surfaces that are `alike` as one, for a mesh of its own.
+    """Surfaces of one `kind_of` as one, for a mesh of its own.
 
     Args:
         parts: the surfaces.
         number: (F,) which of them each face of the mesh has.
     """
-    surfaces, rows = list(map(drawn, parts)), np.zeros((len(parts), _ROW), dtype=np.float32)
+    surfaces, rows = list(map(for_mitsuba, parts)), np.zeros((len(parts), _ROW), dtype=np.float32)
     pictures = [surface["base_color"] for surface in surfaces if surface["base_color"]["type"] == "bitmap"]
     for row, surface in zip(rows, surfaces, strict=True):
         colour = surface["base_color"]
         row[: 2 if pictures else 3] = colour["bitmap"].shape[1::-1] if pictures else colour["value"]
         row[3 : 3 + len(_INPUTS)] = [surface.get(name, 0.0) for name in _INPUTS]
     first = surfaces[0]
-    one = {name: value for name, value in first.items() if name in ("type", "eta") or name in _INPUTS}
+    common = {name: value for name, value in first.items() if name in ("type", "eta") or name in _INPUTS}
     row_of_face = np.zeros(max(len(number), 4), dtype=np.uint32)  # of three numbers Mitsuba would make a colour
     row_of_face[: len(number)] = number
-    made = {**one, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
+    joined = {**common, "base_color": first["base_color"], "rows": rows, "row_of_face": row_of_face}
     if not pictures:
-        return made
-    own = {(id(colour["bitmap"]), bool(colour.get("raw", False))): colour for colour in pictures}
-    ends = np.cumsum([np.prod(colour["bitmap"].shape[:2]) for colour in own.values()], dtype=np.uint32)
-    begin_of = dict(zip(own, (0, *ends), strict=False))
+        return joined
+    distinct = {(id(colour["bitmap"]), bool(colour.get("raw", False))): colour for colour in pictures}
+    ends = np.cumsum([np.prod(colour["bitmap"].shape[:2]) for colour in distinct.values()], dtype=np.uint32)
+    begin_of = dict(zip(distinct, (0, *ends), strict=False))
     begin = np.zeros(max(len(pictures), 4), dtype=np.uint32)
     begin[: len(pictures)] = [begin_of[id(colour["bitmap"]), bool(colour.get("raw", False))] for colour in pictures]
-    grey = {"type": "rgb", "value": [0.5] * 3}  # Mitsuba wants a colour, that nobody asks
+    grey = {"type": "rgb", "value": [0.5] * 3}  # Mitsuba wants a colour, and never reads it
     return {
-        **made,
+        **joined,
         "base_color": grey,
         "begin_of_row": begin,
-        "texels": np.concatenate(list(map(_packed, own.values()))),
+        "texels": np.concatenate(list(map(_packed, distinct.values()))),
     }
 
 
@@ -228,7 +247,7 @@ def _packed(colour: Mapping[str, Any]) -> Indices:
     return packed.reshape(-1, 4).view("<u4").ravel()
 
 
-def blur(spread: Any, number: Any, most: Any) -> Any:
+def blur(spread: Float, number: UInt32, most: Float) -> Float:
     """How much of what a path is spread already widens what it shows in a mirror: less of it the more paths a pixel
     has, so that its mean ends at the truth; slowly, so that spikes stay rare.  Kaplanyan and Dachsbacher 2013, "Path
     space regularization"; the power, -1/6, is a choice.
@@ -242,7 +261,7 @@ def blur(spread: Any, number: Any, most: Any) -> Any:
     return dr.minimum(spread, most * dr.rsqrt(dr.cbrt(backend.mitsuba().Float(number) + 1.0)))
 
 
-def seen_from(si: Any, spread: Any) -> Any:
+def seen_from(si: SurfaceInteraction3f, spread: Float) -> SurfaceInteraction3f:
     """A point of a surface as a path sees it whose vertices before have spread its directions; it stays as it is.
 
     Its lobes are as wide at least as the path is spread: what an eye sees in a mirror by way of fog or a rough surface
@@ -255,11 +274,11 @@ def seen_from(si: Any, spread: Any) -> Any:
     return _widened(si, spread)
 
 
-def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
+def lit_from(si: SurfaceInteraction3f, lamp: Point3f, is_point: Bool, spread: Float) -> SurfaceInteraction3f:
     """The same as it answers a lamp: where that is a point, its lobes are as wide at least as glass of LENS_M looks
     from there, too.
 
-    A sharp lobe shows a point at 10^4 times the luminance of any glass, where one path in 10^6 finds it.
+    A sharp lobe shows a point at 10^4 times the luminance of any glass, to very few paths.
 
     Args:
         si, spread: as in `seen_from`.
@@ -270,50 +289,50 @@ def lit_from(si: Any, lamp: Any, is_point: Any, spread: Any) -> Any:
     return _widened(si, dr.select(is_point, dr.maximum(lens, spread), spread))
 
 
-def _widened(si: Any, width: Any) -> Any:
-    found = type(si)(si)
-    found.duv_dx = backend.mitsuba().Vector2f(width, 0.0)
-    return found
+def _widened(si: SurfaceInteraction3f, width: Float) -> SurfaceInteraction3f:
+    widened = type(si)(si)
+    widened.duv_dx = backend.mitsuba().Vector2f(width, 0.0)
+    return widened
 
 
-def for_lamps(si: Any) -> Any:
+def for_lamps(si: SurfaceInteraction3f) -> SurfaceInteraction3f:
     """A point of a surface as it draws directions in which images of lamps may be seen: by its lobes alone, and mostly
     by its coat; the point stays as it is.
     """
-    found = type(si)(si)
-    found.duv_dy = backend.mitsuba().Vector2f(1.0, 0.0)
-    return found
+    marked = type(si)(si)
+    marked.duv_dy = backend.mitsuba().Vector2f(1.0, 0.0)
+    return marked
 
 
 def stand_in(part: Mapping[str, Any]) -> dict[str, Any]:
     """Mitsuba's `principled`, for the variant that would ask Python for each ray: with Disney's glow, a quarter of the
     coat, and grey reflections.
     """
-    made = {name: value for name, value in part.items() if name not in ("specular", "clearcoat_roughness")}
+    principled = {name: value for name, value in part.items() if name not in ("specular", "clearcoat_roughness")}
     if "specular" in part:
         f0 = min(float(np.mean(mean_colour(part["specular"]))), 0.99)
-        made["eta"] = max((1.0 + f0**0.5) / (1.0 - f0**0.5), 1.001)
+        principled["eta"] = max((1.0 + f0**0.5) / (1.0 - f0**0.5), 1.001)
     if "clearcoat" in part:
         rough = part["clearcoat_roughness"]
-        made["clearcoat_gloss"] = 1.0 - (float(np.mean(texels(rough))) if isinstance(rough, Mapping) else rough)
-    return made | {"type": "principled"}
+        principled["clearcoat_gloss"] = 1.0 - (float(np.mean(texels(rough))) if isinstance(rough, Mapping) else rough)
+    return principled | {"type": "principled"}
 
 
-def _plugin(mi: Any) -> Any:
+def _plugin(mi: ModuleType) -> type[BSDF]:
 
     @functools.lru_cache(maxsize=64)
-    def table(eta: float) -> Any:
-        made = backend.floats(albedo_of(eta).ravel())
-        dr.make_opaque(made)
-        return made
+    def table(eta: float) -> Float:
+        albedo = backend.floats(albedo_of(eta).ravel())
+        dr.make_opaque(albedo)
+        return albedo
 
     class PreviewSurface(mi.BSDF):  # type: ignore[misc, name-defined]
         """See the head of this file."""
 
-        def __init__(self, properties: Any) -> None:
+        def __init__(self, properties: Properties) -> None:
             mi.BSDF.__init__(self, properties)
 
-            def texture(name: str) -> Any:
+            def texture(name: str) -> Texture | None:
                 return properties.get_texture(name) if name in properties else None
 
             self.base_color, self.roughness = properties.get_texture("base_color"), texture("roughness")
@@ -329,27 +348,46 @@ def _plugin(mi: Any) -> Any:
                 self.m_components.append(mi.BSDFFlags.GlossyReflection | sides)
             self.m_flags = functools.reduce(operator.or_, self.m_components)
 
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        def sample(
+            self,
+            ctx: BSDFContext,
+            si: SurfaceInteraction3f,
+            sample1: Float,
+            sample2: Point2f,
+            active: Bool | bool = True,
+        ) -> tuple[BSDFSample3f, Color3f]:
             return self._sampled(_Response(self, si, active), si, sample1, sample2, active)
 
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
             return _Response(self, si, active).reflected(wo, active)[0]
 
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
             return _Response(self, si, active).reflected(wo, active)[1]
 
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval_pdf(
+            self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+        ) -> tuple[Color3f, Float]:
             return _Response(self, si, active).reflected(wo, active)
 
-        def eval_pdf_sample(self, ctx: Any, si: Any, wo: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        def eval_pdf_sample(
+            self,
+            ctx: BSDFContext,
+            si: SurfaceInteraction3f,
+            wo: Vector3f,
+            sample1: Float,
+            sample2: Point2f,
+            active: Bool | bool = True,
+        ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
             parts = _Response(self, si, active)
             return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
 
-        def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+        def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
             return _inputs(self, si, active)[0]
 
-        def _sampled(self, parts: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
-            wo = parts.drawn(sample1, sample2)
+        def _sampled(
+            self, parts: _Response, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool
+        ) -> tuple[BSDFSample3f, Color3f]:
+            wo = parts.direction(sample1, sample2)
             value, pdf = parts.reflected(wo, active)
             sampled = dr.zeros(mi.BSDFSample3f)
             sampled.wo, sampled.pdf, sampled.eta = wo, pdf, 1.0
@@ -358,7 +396,7 @@ def _plugin(mi: Any) -> Any:
             good = active & (pdf > 0.0)
             return sampled, dr.select(good, value / pdf, 0.0)
 
-        def traverse(self, callback: Any) -> None:
+        def traverse(self, callback: TraversalCallback) -> None:
             for name in ("base_color", "roughness", "metallic", "coat", "coat_roughness", "specular"):
                 if getattr(self, name) is not None:
                     callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
@@ -369,22 +407,22 @@ def _plugin(mi: Any) -> Any:
     return PreviewSurface
 
 
-def _inputs(bsdf: Any, si: Any, active: Any) -> tuple[Any, ...]:
+def _inputs(bsdf: BSDF, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Any, ...]:
     """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
     mi = backend.mitsuba()
     if bsdf.rows is not None:
         row = dr.gather(mi.UInt32, bsdf.row_of_face, si.prim_index, active)
-        one, two = (dr.gather(mi.Vector4f, bsdf.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
-        colour = mi.Color3f(one.x, one.y, one.z)
+        low, high = (dr.gather(mi.Vector4f, bsdf.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
+        colour = mi.Color3f(low.x, low.y, low.z)
         if bsdf.texels is not None:
             begin = dr.gather(mi.UInt32, bsdf.begin_of_row, row, active)
-            colour = _pictured(bsdf.texels, si.uv, begin, mi.Vector2f(one.x, one.y), active)
-        return colour, one.w, two.x, two.y, two.z
+            colour = _pictured(bsdf.texels, si.uv, begin, mi.Vector2f(low.x, low.y), active)
+        return colour, low.w, high.x, high.y, high.z
     textures = bsdf.roughness, bsdf.metallic, bsdf.coat, bsdf.coat_roughness
-    return bsdf.base_color.eval(si, active), *(one and one.eval_1(si, active) for one in textures)
+    return bsdf.base_color.eval(si, active), *(texture and texture.eval_1(si, active) for texture in textures)
 
 
-def _pictured(texels: Any, uv: Any, begin: Any, size: Any, active: Any) -> Any:
+def _pictured(texels: UInt32, uv: Point2f, begin: UInt32, size: Vector2f, active: Bool | bool) -> Color3f:
     """Colour of a picture that begins at a texel, repeats, and is linear between the middles of its texels."""
     mi = backend.mitsuba()
     place = (uv - dr.floor(uv)) * size - 0.5
@@ -394,7 +432,7 @@ def _pictured(texels: Any, uv: Any, begin: Any, size: Any, active: Any) -> Any:
     low, high = dr.select(low < 0.0, size - 1.0, low), dr.select(high < size, high, 0.0)
     low, high = (dr.minimum(mi.Vector2u(side), last) for side in (low, high))  # where uv are no numbers, too
 
-    def texel(x: Any, y: Any) -> Any:
+    def texel(x: UInt32, y: UInt32) -> Color3f:
         pair = dr.gather(mi.Vector2u, texels, begin + y * width + x, active)
         roots = mi.Color3f(mi.Float(pair.x & 0xFFFF), mi.Float(pair.x >> 16), mi.Float(pair.y)) / _FULL
         return roots * roots
@@ -408,7 +446,7 @@ class _Response:
     `seen_from` and `lit_from` have them, that reflect as much in all as they would else.
     """
 
-    def __init__(self, bsdf: Any, si: Any, active: Any) -> None:
+    def __init__(self, bsdf: BSDF, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         mi = backend.mitsuba()
         normal = si.to_local(si.n)
         self.below = dr.dot(si.wi, normal) * normal.z < 0.0
@@ -443,7 +481,7 @@ class _Response:
             often = reflected * (1.0 + (COAT - 1.0) * for_lamps)
             self.chance_coat = often / dr.maximum(often + self.left * (under + lobes), 1e-8)
 
-    def lobe(self, roughness: Any) -> tuple[Any, Any, tuple[Any, Any]]:
+    def lobe(self, roughness: Float) -> tuple[Float, Vector4f, tuple[Float, Float]]:
         """Width of a lobe, the shares of `lobe_albedo`, and what it reflects over what it would at this width: as
         metal and as a dielectric.
         """
@@ -451,10 +489,10 @@ class _Response:
         wide = dr.sqrt(alpha * alpha + self.blur * self.blur)
         all_of_it = self.albedo(dr.sqrt(wide))
         pairs = (albedo.x + albedo.y, all_of_it.x + all_of_it.y), (albedo.z, all_of_it.z)
-        metal, dielectric = (dr.select(self.blur > 0.0, one / dr.maximum(other, 1e-6), 1.0) for one, other in pairs)
+        metal, dielectric = (dr.select(self.blur > 0.0, sharp / dr.maximum(wider, 1e-6), 1.0) for sharp, wider in pairs)
         return wide, albedo, (metal, dielectric)
 
-    def albedo(self, roughness: Any) -> Any:
+    def albedo(self, roughness: Float) -> Vector4f:
         """`lobe_albedo` of the surface's index, for light to the eye."""
         mi = backend.mitsuba()
         x = dr.clip(dr.sqrt(self.wi.z), 0.0, 1.0) * (NODES - 1)
@@ -466,8 +504,8 @@ class _Response:
         )
         return dr.lerp(near, next_, x)
 
-    def reflected(self, wo: Any, active: Any) -> tuple[Any, Any]:
-        """Value of the BSDF times the cosine, and the density with which `drawn` draws the direction."""
+    def reflected(self, wo: Vector3f, active: Bool | bool) -> tuple[Color3f, Float]:
+        """Value of the BSDF times the cosine, and the density with which `direction` draws it."""
         mi = backend.mitsuba()
         wi, wo = self.wi, mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
         good = active & (wi.z > 0.0) & (wo.z > 0.0)
@@ -491,7 +529,7 @@ class _Response:
             pdf = dr.lerp(pdf, sharp, self.chance_coat)
         return dr.select(good, value, 0.0), dr.select(good, pdf, 0.0)
 
-    def drawn(self, sample1: Any, sample2: Any) -> Any:
+    def direction(self, sample1: Float, sample2: Point2f) -> Vector3f:
         """A direction by the matte part or by one of the lobes."""
         mi = backend.mitsuba()
         wo = mi.warp.square_to_cosine_hemisphere(sample2)
@@ -499,7 +537,7 @@ class _Response:
             wo = dr.select(*self.mirrored(sample1, sample2), wo)
         return mi.Vector3f(wo.x, wo.y, dr.select(self.below, -wo.z, wo.z))
 
-    def mirrored(self, sample1: Any, sample2: Any) -> tuple[Any, Any]:
+    def mirrored(self, sample1: Float, sample2: Point2f) -> tuple[Bool, Vector3f]:
         """Whether a lobe was chosen, and the direction that it sends."""
         alpha, coated = self.alpha, False
         if self.coat is not None:
@@ -509,7 +547,7 @@ class _Response:
         return coated | (sample1 >= self.chance_matte), _mirrored(self.wi, alpha, sample2)
 
 
-def _ggx(wi: Any, wo: Any, h: Any, alpha: Any) -> tuple[Any, Any]:
+def _ggx(wi: Vector3f, wo: Vector3f, h: Vector3f, alpha: Float) -> tuple[Float, Float]:
     """A lobe that reflects all, times the cosine, and the density with which `_mirrored` draws it.
 
     Walter et al. 2007; masking and shadowing by height (Heitz 2014).
@@ -522,7 +560,7 @@ def _ggx(wi: Any, wo: Any, h: Any, alpha: Any) -> tuple[Any, Any]:
     return even / (1.0 + hidden_in + hidden_out), even / (1.0 + hidden_in)
 
 
-def _mirrored(wi: Any, alpha: Any, sample: Any) -> Any:
+def _mirrored(wi: Vector3f, alpha: Float, sample: Point2f) -> Vector3f:
     """`wi` mirrored at a visible normal of GGX (Dupuy and Benyoub 2023, spherical caps)."""
     mi = backend.mitsuba()
     stretched = dr.normalize(mi.Vector3f(alpha * wi.x, alpha * wi.y, wi.z))

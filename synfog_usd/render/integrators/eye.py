@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
@@ -10,6 +10,12 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.raster import Raster
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.motion import moved
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool
+    from mitsuba import Color3f, Point2f, Ray3f
+
+    from synfog_usd.render.sampling.sobol import Sobol
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
@@ -30,12 +36,12 @@ class Eye:
         self._ahead = mi.Vector3f(*(-camera.to_world[:3, 2]).tolist())
         dr.make_opaque(self._ahead)
 
-    def ray(self, sampler: Any, corner: Any, active: Any) -> tuple[Any, Any]:
+    def ray(self, sampler: Sobol, corner: Point2f, active: Bool) -> tuple[Ray3f, Color3f]:
         """A ray through a random point of the pixel, and its weight."""
         place = (corner + backend.mitsuba().Point2f(sampler.next_2d(active))) / self.raster.size
         return self.ray_through(place, sampler, active)
 
-    def ray_through(self, place: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+    def ray_through(self, place: Point2f, sampler: Sobol, active: Bool) -> tuple[Ray3f, Color3f]:
         """A ray through a point (u, v) of the picture, 0 to 1 from the top left, and its weight."""
         mi = backend.mitsuba()
         camera = self.loaded.source.camera

@@ -5,12 +5,18 @@ A lamp's number is that of its group times the kinds of light, plus its kind.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
 from synfog_usd.render import backend
 from synfog_usd.render.spectra.bands import Bands
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, UInt32
+    from mitsuba import Color3f, EmitterPtr, Spectrum
+
+    from synfog_usd.render.spectra.bands import SampledSpectrum
 
 
 class LightGroups:
@@ -22,7 +28,7 @@ class LightGroups:
         bands: what a path carries; knows the kinds of light.
     """
 
-    def __init__(self, names: tuple[str, ...], of_emitter: Any, bands: Bands) -> None:
+    def __init__(self, names: tuple[str, ...], of_emitter: UInt32, bands: Bands) -> None:
         self.names, self.bands = names, bands
         self._of_emitter = of_emitter
 
@@ -31,29 +37,35 @@ class LightGroups:
         """How many sums are kept: none where there is only one group."""
         return len(self.names) if len(self.names) > 1 else 0
 
-    def begun(self) -> list[Any]:
+    def empty(self) -> list[SampledSpectrum]:
         """Sums in which there is nothing yet."""
         return [self.bands.black() for _ in range(self.summed)]
 
-    def of(self, emitter: Any, active: Any) -> Any:
+    def of(self, emitter: EmitterPtr, active: Bool | bool) -> UInt32:
         """Numbers of the scene's own emitters."""
         mi = backend.mitsuba()
         if len(self.names) < 2 and self.bands.kinds < 2:
             return mi.UInt32(0)
-        return dr.gather(mi.UInt32, self._of_emitter, dr.reinterpret_array(mi.UInt32, emitter), active)
+        return dr.gather(mi.UInt32, self._of_emitter, backend.indices_of(emitter), active)
 
-    def light(self, colour: Any, lamp: Any) -> Any:
+    def light(self, colour: Color3f | Spectrum, lamp: UInt32) -> SampledSpectrum:
         """A lamp's light in all bands, for its number."""
         return self.bands.light(colour, lamp % self.bands.kinds if self.bands.kinds > 1 else None)
 
-    def add(self, sums: list[Any], light: Any, lamp: Any) -> list[Any]:
+    def add(self, sums: list[SampledSpectrum], light: SampledSpectrum, lamp: UInt32) -> list[SampledSpectrum]:
         """Sums with light of lamps of a number."""
         group = lamp // self.bands.kinds if self.bands.kinds > 1 else lamp
         return [total + dr.select(group == index, light, 0.0) for index, total in enumerate(sums)]
 
     def add_to_path(
-        self, path: Any, aovs: list[Any], sums: list[Any], light: Any, scattered: Any, lamp: Any
-    ) -> tuple[Any, list[Any], list[Any]]:
+        self,
+        path: SampledSpectrum,
+        aovs: list[SampledSpectrum],
+        sums: list[SampledSpectrum],
+        light: SampledSpectrum,
+        scattered: UInt32,
+        lamp: UInt32,
+    ) -> tuple[SampledSpectrum, list[SampledSpectrum], list[SampledSpectrum]]:
         """Add light to a path, its AOV and its group; light that is not finite is left out of both and spoils the
         path, which counts it.
         """

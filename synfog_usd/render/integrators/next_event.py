@@ -8,8 +8,9 @@ finds (Veach and Guibas 1995), where a lamp has a face that a ray can meet.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -25,6 +26,13 @@ from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.surface import lit_from
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import BSDFPtr, Color3f, Interaction3f, Normal3f, Point3f, Ray3f, SurfaceInteraction3f, Vector3f
+
+    from synfog_usd.render.sampling.sobol import Sobol
+    from synfog_usd.render.spectra.bands import SampledSpectrum
 
 MOST_WEIGHED = 240
 """Lamps that are all weighed for each stretch and point; of more, some are drawn by flux and peak."""
@@ -42,7 +50,7 @@ class Chosen:
     """A light that a vertex asks.
 
     Attributes:
-        asked: whether there is one.
+        exists: whether there is one.
         place, direction: where it is, and the unit direction towards it.
         power: its radiance over the density of the choice.
         group: number of its light group.
@@ -50,18 +58,40 @@ class Chosen:
         alone: no other way finds it.
     """
 
-    asked: Any
-    place: Any
-    direction: Any
-    power: Any
-    group: Any
-    pdf: Any
-    alone: Any
+    exists: Bool
+    place: Point3f
+    direction: Vector3f
+    power: Color3f
+    group: UInt32
+    pdf: Float
+    alone: Bool
 
-    def where(self, mask: Any, other: Chosen) -> Chosen:
+    def where(self, mask: Bool, instead: Chosen) -> Chosen:
         """This one where `mask`, else another."""
-        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
-        return Chosen(*(dr.select(mask, one, two) for one, two in pairs))
+        pairs = ((getattr(self, field.name), getattr(instead, field.name)) for field in fields(self))
+        return Chosen(*(dr.select(mask, *pair) for pair in pairs))
+
+
+@dataclass
+class Previous:
+    """The vertex before a segment, and how it chose the segment's direction.
+
+    Attributes:
+        p: where it is.
+        pdf: density [1/sr] of the direction.
+        delta: it could choose no other: the eye, a mirror.
+        without_nee: it sent no shadow ray.
+        row: of the sky's table.
+        gloss, weighed: how it answers lamps, and the sum of all their weights there; 0 where none was drawn.
+    """
+
+    p: Point3f
+    pdf: Float
+    delta: Bool
+    without_nee: Bool
+    row: UInt32
+    gloss: Gloss
+    weighed: Float
 
 
 class NextEvent:
@@ -71,8 +101,8 @@ class NextEvent:
         loaded, medium: the scene and its fog.
         lights: those that are sampled by where they matter.
             With none of them it is the scene's own choice that is asked, for all other light.
-        others: how many other lights there are but the environment.  Where there are none, a scattering in the fog
-            sends them no shadow ray: the phase function's own sample finds a sky better.
+        other_lights: how many other lights there are but the environment.  Where there are none, a scattering in the
+            fog sends them no shadow ray: the phase function's own sample finds a sky better.
         groups: the lights' groups and kinds.
         lamp_faces: see `lamp_faces`; None where all light counts.
 
@@ -91,16 +121,16 @@ class NextEvent:
         medium: Medium,
         lights: LightSampler,
         *,
-        others: int,
+        other_lights: int,
         groups: LightGroups,
-        lamp_faces: Any = None,
+        lamp_faces: UInt32 | None = None,
     ) -> None:
         self.loaded, self.medium, self.lights, self.groups, self.bands = loaded, medium, lights, groups, groups.bands
         self.foggy, self.lamp_faces = medium.foggy, lamp_faces
         sky = loaded.scene.environment() is not None and not lights.count
-        self.in_fog = others > 0
-        self.at_surfaces = others > 0 or sky
-        self.sky = SkyTable.of(loaded) if self.at_surfaces and others == 0 else None
+        self.in_fog = other_lights > 0
+        self.at_surfaces = other_lights > 0 or sky
+        self.sky = SkyTable.of(loaded) if self.at_surfaces and other_lights == 0 else None
         if self.sky is not None:
             self.sky_group = groups.of(backend.mitsuba().EmitterPtr(self.sky.environment), True)
             dr.make_opaque(self.sky_group)
@@ -110,7 +140,9 @@ class NextEvent:
         self.visible = VisibleFaces.of(loaded) if lights.count else None
         self.panes = Panes.of(loaded) if lights.count else None
 
-    def face_pdf(self, lamp: Any, area_pdf: Any, end: Any, place: Any, gloss: Gloss, weighed: Any) -> Any:
+    def face_pdf(
+        self, lamp: UInt32, area_pdf: Float, end: SurfaceInteraction3f, place: Point3f, gloss: Gloss, weighed: Float
+    ) -> Float:
         """Density [1/sr] with which a surface at `place` draws a point of a lamp's face as one of `PICKS`.
 
         Args:
@@ -118,27 +150,36 @@ class NextEvent:
             end: the point.
             gloss, weighed: how the surface answers lamps, and the sum of all their weights there.
         """
+        assert self.importance is not None
         chance = PICKS * self.importance.at(lamp, place, gloss) / dr.maximum(weighed, 1e-30)
-        cosine = dr.abs(dr.dot(end.n, end.to_world(end.wi)))
+        cosine = dr.abs(dr.dot(backend.mitsuba().Vector3f(end.n), end.to_world(end.wi)))
         return chance * area_pdf * dr.squared_norm(end.p - place) / dr.maximum(cosine, 1e-6)
 
-    def known_along(self, ray: Any, near: Any, stop: Any, sampler: Any, active: Any) -> Any:
+    def picks_along(self, ray: Ray3f, near: Float, stop: Float, sampler: Sobol, active: Bool) -> Picks | None:
         """Which lamps to ask about a segment; None where all are asked, or too many to be weighed."""
         if self.importance is None:
             return None
-        return self.importance.draw(
-            lambda index: self.importance.along(index, ray.o, ray.d, near, stop), sampler, active
-        )
+        along = self.importance.along
+        return self.importance.draw(lambda index: along(index, ray.o, ray.d, near, stop), sampler, active)
 
-    def known_at(self, place: Any, gloss: Gloss, sampler: Any, active: Any) -> Picks:
+    def picks_at(self, place: Point3f, gloss: Gloss, sampler: Sobol, active: Bool) -> Picks:
         """Which lamps to ask about a point of a surface."""
-        return self.importance.draw(lambda index: self.importance.at(index, place, gloss), sampler, active)
+        assert self.importance is not None
+        at = self.importance.at
+        return self.importance.draw(lambda index: at(index, place, gloss), sampler, active)
 
     def along(
-        self, ray: Any, near: Any, stop: Any, throughput: Any, sampler: Any, active: Any, known: Any
-    ) -> tuple[Any, Any]:
+        self,
+        ray: Ray3f,
+        near: Float,
+        stop: Float,
+        throughput: SampledSpectrum,
+        sampler: Sobol,
+        active: Bool,
+        picks: Picks | None,
+    ) -> tuple[SampledSpectrum, UInt32]:
         """A lamp's light that the fog scatters once into a segment, and the lamp's group."""
-        where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, active, known)
+        where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, active, picks)
         free, reach_lamp = self.shadow_transmittance(
             where, backend.mitsuba().Normal3f(0.0), lamp, active & (dr.max(colour) > 0.0)
         )
@@ -149,21 +190,23 @@ class NextEvent:
             )
         return light, group
 
-    def sky_row(self, si: Any) -> Any:
+    def sky_row(self, si: SurfaceInteraction3f) -> UInt32:
         """Row of the sky's table for the side of a surface that is seen; 0 without a table."""
         mi = backend.mitsuba()
         if self.sky is None:
             return mi.UInt32(0)
         return self.sky.row(si.sh_frame.n * dr.select(si.wi.z < 0.0, -1.0, 1.0))
 
-    def own(self, vertex: Any, row: Any, smooth: Any, medium_scattered: Any, sampler: Any) -> Chosen:
+    def scene_choice(
+        self, vertex: Interaction3f, row: UInt32, smooth: Bool, medium_scattered: Bool, sampler: Sobol
+    ) -> Chosen:
         """The sky where it has a table, of which this is the `row`; else a light by the scene's own choice."""
         mi = backend.mitsuba()
         lit = smooth | medium_scattered if self.in_fog else mi.Bool(smooth)
         if self.sky is not None:
             direction, pdf = self.sky.draw(row, sampler.next_2d(lit))
             power = self.sky.radiance(direction, lit) / dr.maximum(pdf, 1e-30)
-            place = vertex.p + direction * SKY_M
+            place = mi.Point3f(vertex.p) + direction * SKY_M
             return Chosen(lit & (pdf > 0.0), place, direction, power, self.sky_group, pdf, mi.Bool(False))
         sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
         if self.at_surfaces:
@@ -171,84 +214,95 @@ class NextEvent:
             group = self.groups.of(sent.emitter, lit)
         return Chosen(lit & (sent.pdf > 0.0), sent.p, sent.d, power, group, sent.pdf, sent.delta)
 
-    def choose(self, vertex: Any, own: Chosen, gloss: Gloss, picks: Picks, smooth: Any, sampler: Any) -> Chosen:
-        """`own`, or one of the lamps that matter to a surface, by what it would make of them."""
+    def choose(
+        self, vertex: Interaction3f, choice: Chosen, gloss: Gloss, picks: Picks, smooth: Bool, sampler: Sobol
+    ) -> Chosen:
+        """`choice`, or one of the lamps that matter to a surface, by what it would make of them."""
         mi = backend.mitsuba()
         lamp, colour, group, pdf = self.lights.at(vertex.p, gloss, sampler, smooth, picks)
-        towards = dr.normalize(lamp - vertex.p)
+        towards = mi.Vector3f(dr.normalize(lamp - vertex.p))
         from_lamp = dr.select(smooth, mi.luminance(colour) * gloss(towards), 0.0)
-        from_own = dr.select(own.asked, mi.luminance(own.power) * gloss(own.direction), 0.0)
-        share = dr.select(from_own > 0.0, from_own / dr.maximum(from_own + from_lamp, 1e-30), 0.0)
-        share = dr.select((from_own > 0.0) & (from_lamp > 0.0), dr.clip(share, LEAST_CHANCE, 1.0 - LEAST_CHANCE), share)
-        own.power = own.power / dr.maximum(share, 1e-30)
+        from_scene = dr.select(choice.exists, mi.luminance(choice.power) * gloss(choice.direction), 0.0)
+        share = dr.select(from_scene > 0.0, from_scene / dr.maximum(from_scene + from_lamp, 1e-30), 0.0)
+        share = dr.select(
+            (from_scene > 0.0) & (from_lamp > 0.0), dr.clip(share, LEAST_CHANCE, 1.0 - LEAST_CHANCE), share
+        )
+        choice.power = choice.power / dr.maximum(share, 1e-30)
         colour = colour / dr.maximum(1.0 - share, 1e-30)
         alone = (pdf <= 0.0) | mi.Bool(self.lit_faces is None)
         lamps = Chosen(from_lamp > 0.0, lamp, towards, colour, group, pdf, alone)
-        return own.where(sampler.next_1d(own.asked | smooth) < share, lamps)
+        return choice.where(sampler.next_1d(choice.exists | smooth) < share, lamps)
 
     def at_surface(
-        self, si: Any, bsdf: Any, reading: Any, throughput: Any, sampler: Any, smooth: Any, spread: Any
-    ) -> tuple[Any, Any]:
+        self,
+        si: SurfaceInteraction3f,
+        bsdf: BSDFPtr,
+        reading: Sequence[Float] | None,
+        throughput: SampledSpectrum,
+        sampler: Sobol,
+        smooth: Bool,
+        spread: Float,
+    ) -> tuple[SampledSpectrum, UInt32]:
         """A lamp's light on a surface as it is reflected, and the lamp's group."""
-        context, black = backend.mitsuba().BSDFContext(), self.bands.black()
-        lamp, colour, group, pdf = self.lights.at(si.p, lambda way: dr.abs(dr.dot(si.n, way)) + 1e-3, sampler, smooth)
+        mi, black = backend.mitsuba(), self.bands.black()
+        normal = mi.Vector3f(si.n)
+        lamp, colour, group, pdf = self.lights.at(si.p, lambda way: dr.abs(dr.dot(normal, way)) + 1e-3, sampler, smooth)
         free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
         answering = lit_from(si, lamp, pdf <= 0.0, spread)
-        reflected = bsdf.eval(context, answering, si.to_local(dr.normalize(lamp - si.p)), free)
+        reflected = bsdf.eval(mi.BSDFContext(), answering, si.to_local(mi.Vector3f(dr.normalize(lamp - si.p))), free)
         light = throughput * self.bands.reflectance(reflected, reading) * self.groups.light(colour, group) * reach_lamp
         return dr.select(free, light, black), group
 
     def emitted(
         self,
-        si: Any,
-        ended: Any,
-        surface_hit: Any,
-        throughput: Any,
-        prev_p: Any,
-        prev_pdf: Any,
-        prev_delta: Any,
-        prev_without_nee: Any,
-        prev_row: Any,
-        prev_gloss: Any,
-        prev_weighed: Any,
-        at_eye: Any,
-        lit_apart: Any,
-    ) -> tuple[Any, Any]:
+        si: SurfaceInteraction3f,
+        unscattered: Bool,
+        surface_hit: Bool,
+        throughput: SampledSpectrum,
+        previous: Previous,
+        at_eye: Bool,
+        lit_apart: Bool,
+    ) -> tuple[SampledSpectrum, UInt32]:
         """What the end of a segment sends out itself, by the power heuristic, and its group; not what other
         estimators have, DIRECT of what the eye sees, and LIT where `lit_apart`.
         """
         mi, scene = backend.mitsuba(), self.loaded.scene
-        previous = dr.zeros(mi.Interaction3f)
-        previous.p = prev_p
+        vertex = dr.zeros(mi.Interaction3f)
+        vertex.p = previous.p
         light_pdf = mi.Float(0.0)
         if self.sky is not None:
-            light_pdf = dr.select(ended & ~surface_hit, self.sky.density(prev_row, -si.wi), 0.0)
+            light_pdf = dr.select(unscattered & ~surface_hit, self.sky.density(previous.row, -si.wi), 0.0)
         elif self.at_surfaces:
             light_pdf = scene.pdf_emitter_direction(
-                previous, mi.DirectionSample3f(scene, si, previous), ended & ~prev_delta
+                vertex, mi.DirectionSample3f(scene, si, vertex), unscattered & ~previous.delta
             )
-        weight = dr.select(
-            prev_without_nee & (light_pdf > 0.0), 1.0, dr.select(light_pdf > 0.0, mis_weight(prev_pdf, light_pdf), 0.0)
-        )
-        emitter = si.emitter(scene, ended)
+        shared = dr.select(light_pdf > 0.0, mis_weight(previous.pdf, light_pdf), 0.0)
+        weight = dr.select(previous.without_nee & (light_pdf > 0.0), 1.0, shared)
+        emitter = si.emitter(scene, unscattered)
         if self.lit_faces is not None:
-            area_pdf, lamp = self.lit_faces.of_emitter(emitter, ended & surface_hit)
-            lamp_pdf = self.face_pdf(lamp, area_pdf, si, prev_p, prev_gloss, prev_weighed)
-            weight = dr.select((area_pdf > 0.0) & (prev_weighed > 0.0), mis_weight(prev_pdf, lamp_pdf), weight)
+            area_pdf, lamp = self.lit_faces.of_emitter(emitter, unscattered & surface_hit)
+            lamp_pdf = self.face_pdf(lamp, area_pdf, si, previous.p, previous.gloss, previous.weighed)
+            weight = dr.select((area_pdf > 0.0) & (previous.weighed > 0.0), mis_weight(previous.pdf, lamp_pdf), weight)
         if self.lamp_faces is not None:
-            is_lamp = dr.gather(mi.UInt32, self.lamp_faces, dr.reinterpret_array(mi.UInt32, emitter), ended) > 0
-            ended &= is_lamp == mi.Bool(self.lights.count > 0)
-        weight = dr.select(prev_delta, 1.0, weight)  # else a lamp's face counts here only for the eye and for mirrors
+            is_lamp = dr.gather(mi.UInt32, self.lamp_faces, backend.indices_of(emitter), unscattered) > 0
+            unscattered &= is_lamp == mi.Bool(self.lights.count > 0)
+        weight = dr.select(
+            previous.delta, 1.0, weight
+        )  # else a lamp's face counts here only for the eye and for mirrors
         if self.lit_faces is not None:
             weight = dr.select(lit_apart & (area_pdf > 0.0), 0.0, weight)
         if self.visible is not None:  # the estimator DIRECT has them
-            weight = dr.select(self.visible.holds(emitter, ended & surface_hit & at_eye), 0.0, weight)
-        group = self.groups.of(emitter, ended)
+            weight = dr.select(self.visible.holds(emitter, unscattered & surface_hit & at_eye), 0.0, weight)
+        group = self.groups.of(emitter, unscattered)
         return dr.select(
-            ended, throughput * weight * self.groups.light(emitter.eval(si, ended), group), self.bands.black()
+            unscattered,
+            throughput * weight * self.groups.light(emitter.eval(si, unscattered), group),
+            self.bands.black(),
         ), group
 
-    def shadow_transmittance(self, place: Any, normal: Any, light: Any, active: Any) -> tuple[Any, Any]:
+    def shadow_transmittance(
+        self, place: Point3f, normal: Normal3f, light: Point3f, active: Bool
+    ) -> tuple[Bool, Float | SampledSpectrum]:
         """(whether nothing but panes stands between a point and a light, transmittance of these and of the fog between:
         one for all bands, or one each).
         """
@@ -262,7 +316,7 @@ class NextEvent:
             blocked, _, _, through = self.panes.beyond(self.loaded.tree, shadow, active)
             free = active & ~blocked & (through > 0.0)
         if self.foggy:
-            towards = light - place
+            towards = mi.Vector3f(light - place)
             length = dr.norm(towards)
             tau = self.medium.optical_depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
             through *= dr.exp(-tau)
@@ -271,7 +325,7 @@ class NextEvent:
         return free, through
 
 
-def lamp_faces(loaded: MitsubaScene) -> Any:
+def lamp_faces(loaded: MitsubaScene) -> UInt32:
     """(E,) 1 for each of the scene's own emitters that is the face of a lamp, else 0; by the renderer's index."""
     world = loaded.source.world
     lamps = [
@@ -284,9 +338,9 @@ def lamp_faces(loaded: MitsubaScene) -> Any:
     return backend.numbers(flags)
 
 
-def mis_weight(pdf: Any, other: Any) -> Any:
+def mis_weight(pdf: Float, alternative: Float) -> Float:
     """Weight of a sample by the power heuristic, 0 where its density is 0; a number for every density, since a lamp's
     face that is seen edge-on has an infinite one.
     """
-    ratio = other / pdf
+    ratio = alternative / pdf
     return dr.select((pdf > 0.0) & ~dr.isnan(ratio), dr.rcp(1.0 + ratio * ratio), 0.0)

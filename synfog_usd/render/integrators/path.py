@@ -31,7 +31,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -55,15 +55,20 @@ from synfog_usd.render.film.accumulator import (
 from synfog_usd.render.integrators import lamps
 from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups
-from synfog_usd.render.integrators.next_event import NextEvent, lamp_faces, mis_weight
+from synfog_usd.render.integrators.next_event import NextEvent, Previous, lamp_faces, mis_weight
 from synfog_usd.render.integrators.tasks import Tasks
 from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
-from synfog_usd.render.spectra.bands import Bands
 from synfog_usd.render.surface import MOST_SPREAD, blur, lit_from, seen_from
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import Ray3f
+
+    from synfog_usd.render.spectra.bands import SampledSpectrum
 
 RR_DEPTH = 8
 """Events before Russian roulette, as in Mitsuba; 5 and 16 are as good."""
@@ -94,14 +99,11 @@ class FogPath:
         medium: the fog.
         lights: those that are sampled by where they matter; their weight in the
             scene's own choice must be 0.
-        others: how many other lights there are but the environment.  Where there are
+        other_lights: how many other lights there are but the environment.  Where there are
             none, a scattering in the fog sends them no shadow ray: the phase function's
             own sample finds a sky better.
+        light_groups: of all lights; knows what a path carries.
         truncation: where paths are cut.
-        groups: names of the light groups; `group_of_emitter` (E,) tells the number of the scene's own emitters by their
-            index, `lamps` of the
-            others: that of the group times `bands.kinds`, plus the kind of light.
-        bands: what a path carries; R, G and B unless told otherwise.
         regularize: see `surface.blur`; without it there is no bias at all.
     """
 
@@ -111,30 +113,25 @@ class FogPath:
         medium: Medium,
         *,
         lights: LightSampler,
-        others: int,
-        truncation: Truncation | None = None,
-        groups: tuple[str, ...] = ("other",),
-        group_of_emitter: Any = None,
-        bands: Bands | None = None,
+        other_lights: int,
+        light_groups: LightGroups,
+        truncation: Truncation,
         regularize: bool = True,
     ) -> None:
-        self.bands = bands or Bands()
+        self.bands, self.light_groups, self.group_names = light_groups.bands, light_groups, light_groups.names
         self.loaded, self.medium, self.lights = loaded, medium, lights
-        self.truncation, self.foggy = truncation or Truncation(), medium.foggy
-        self.group_names, self.groups = groups, len(groups)
-        self.sky_group = groups.index("sky") if "sky" in groups else 0
-        self.light_groups = LightGroups(groups, group_of_emitter, self.bands)
+        self.truncation, self.foggy = truncation, medium.foggy
         self.eye = Eye(loaded)
-        self.of_lamps, self.of_others = self._next_event(others)
+        self.of_lamps, self.of_others = self._next_event(other_lights)
         self.rr_prob = dr.opaque(backend.mitsuba().Float, _rr_prob(medium))
         self.most_spread = dr.opaque(backend.mitsuba().Float, MOST_SPREAD if regularize else 0.0)
         self.limited = self.truncation.scatterings < UNLIMITED
         self.estimators = tuple(self._estimators())
 
-    def _next_event(self, others: int) -> tuple[NextEvent | None, NextEvent | None]:
+    def _next_event(self, other_lights: int) -> tuple[NextEvent | None, NextEvent | None]:
         """Next-event estimation of lamps, and of all other light; each only where the scene has it."""
         lit, sky = self.lights.count > 0, self.loaded.scene.environment() is not None
-        both = lit and (sky or others > 0)
+        both = lit and (sky or other_lights > 0)
         make = functools.partial(
             NextEvent,
             self.loaded,
@@ -142,8 +139,8 @@ class FogPath:
             groups=self.light_groups,
             lamp_faces=lamp_faces(self.loaded) if both else None,
         )
-        of_lamps = make(self.lights, others=0) if lit else None
-        return of_lamps, make(LightSampler({}, {}), others=others) if both or not lit else None
+        of_lamps = make(self.lights, other_lights=0) if lit else None
+        return of_lamps, make(LightSampler({}, {}), other_lights=other_lights) if both or not lit else None
 
     def _estimators(self) -> Iterator[str]:
         """Names of the estimators that this scene needs."""
@@ -167,7 +164,7 @@ class FogPath:
         """An image, see `Integrator`."""
         return accumulate_by_estimator(self, samples=samples, seed=seed, progress=progress)
 
-    def trace(self, estimator: str, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+    def trace(self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int) -> Moments:
         """Trace `count` paths of an estimator in each lane.
 
         Args:
@@ -177,40 +174,40 @@ class FogPath:
             count: paths a lane.
             seed: of the image and the estimator.
         """
-        if estimator == LAMPS:
-            return lamps.trace_lamps(self, pixel, first, count, seed)
-        if estimator == DIRECT:
-            return lamps.trace_direct(self, pixel, first, count, seed)
-        if estimator == LIT:
-            return lamps.trace_lit(self, pixel, first, count, seed)
-        asks = self.of_lamps if estimator in (SURFACE_OF_LAMPS, INSCATTERED_OF_LAMPS) else self.of_others
+        asks = self.of_others if estimator in (SURFACE, INSCATTERED) else self.of_lamps
+        assert asks is not None
+        first_segment = {LAMPS: lamps.trace_lamps, DIRECT: lamps.trace_direct, LIT: lamps.trace_lit}
+        if estimator in first_segment:
+            return first_segment[estimator](self, asks, pixel, first, count, seed)
         inscattered = estimator in (INSCATTERED, INSCATTERED_OF_LAMPS)
         return self.trace_paths(asks, inscattered, pixel, first, count, seed)
 
     @dr.syntax
-    def trace_paths(self, asks: NextEvent, inscattered: bool, pixel: Any, first: Any, count: int, seed: int) -> Moments:
+    def trace_paths(
+        self, asks: NextEvent, inscattered: bool, pixel: UInt32, first: UInt32, count: int, seed: int
+    ) -> Moments:
         """Paths whose first segment meets a surface, or (`inscattered`) is scattered, to the light that `asks` counts;
         other arguments as in `trace`.
 
-        A lane whose path has ended begins its next one at once, and goes on with another pixel where one has all its
+        A lane whose path has ended begins its next one, and goes on with another pixel where one has all its
         paths: vector units work on 16 lanes in step, and would otherwise wait for the longest path of the 16.
         """
         mi = backend.mitsuba()
         context, medium, bands, black = mi.BSDFContext(), self.medium, self.bands, self.bands.black()
-        wanted, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
+        paths, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         lit_apart = LIT in self.estimators and not inscattered
 
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
         parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
-        sums = self.light_groups.begun()  # over the paths of a task: light by light group
+        sums = self.light_groups.empty()  # over the paths of a task: light by light group
         tasks = Tasks(pixel, first, count, bands.count * (parts + len(sums)), 1)
-        task = tasks.begun()
+        task = tasks.first_tasks()
         pixel, first = tasks.of(task, mi.Bool(True))
 
         # ---- Its other sums
         aovs = [bands.black() for _ in range(parts)]  # light by AOV
         lost = mi.UInt32(0)  # paths that were not finite
-        begun = mi.UInt32(0)  # paths of the task that have ended
+        number = mi.UInt32(0)  # of the path that is under way, in its task
 
         # ---- State of the path that is under way
         sampler = Sobol(image_seed, pixel, first)  # its random numbers
@@ -282,7 +279,7 @@ class FogPath:
                 if dr.hint(self.limited, mode="scalar"):
                     lit &= scattered < self.truncation.scatterings
                 light, group = asks.along(
-                    ray, near, stop, throughput, sampler, lit, asks.known_along(ray, near, stop, sampler, lit)
+                    ray, near, stop, throughput, sampler, lit, asks.picks_along(ray, near, stop, sampler, lit)
                 )
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered + 1, group)
 
@@ -293,23 +290,17 @@ class FogPath:
                 )
                 throughput *= bands.fade(tau_to_end)
                 throughput = dr.select(medium_scattered, throughput * bands.scattered(), throughput)
-            ended = active & ~medium_scattered
+            unscattered = active & ~medium_scattered
             if dr.hint(inscattered, mode="scalar"):
-                ended &= ~at_eye
+                unscattered &= ~at_eye
 
             # ==== 6. Emission at the segment's end, weighed against the shadow ray of the vertex before
             light, group = asks.emitted(
                 si,
-                ended,
+                unscattered,
                 surface_hit,
                 throughput,
-                prev_p,
-                prev_pdf,
-                prev_delta,
-                prev_without_nee,
-                prev_row,
-                prev_gloss,
-                prev_weighed,
+                Previous(prev_p, prev_pdf, prev_delta, prev_without_nee, prev_row, prev_gloss, prev_weighed),
                 at_eye,
                 prev_first & mi.Bool(lit_apart),
             )
@@ -331,26 +322,28 @@ class FogPath:
             # ==== 8. Next-event estimation at the vertex: the scene's own choice of lights, or a lamp of many (one call
             # gives the BSDF's value and its next direction)
             row = asks.sky_row(si)
-            chosen = asks.own(vertex, row, smooth, medium_scattered, sampler)
+            chosen = asks.scene_choice(vertex, row, smooth, medium_scattered, sampler)
             asked_about = si.to_local(chosen.direction)
             if dr.hint(asks.importance is not None, mode="scalar"):
                 asked_about = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)  # the mirror's, for its gloss
             blurred, spread = si, mi.Float(0.0)
             if dr.hint(asks.lights.count > 0, mode="scalar"):
-                spread = blur(dr.sqrt(spread2), (first + begun) & (HALF_STRIDE - 1), self.most_spread)
+                spread = blur(dr.sqrt(spread2), (first + number) & (HALF_STRIDE - 1), self.most_spread)
                 blurred = seen_from(si, spread)
-            reflected, pdf, bounce, kept = bsdf.eval_pdf_sample(
+            reflected, pdf, bounce, onward = bsdf.eval_pdf_sample(
                 context, blurred, asked_about, sampler.next_1d(surface_hit), sampler.next_2d(surface_hit), surface_hit
             )
             gloss, picks = Gloss(), None
             if dr.hint(asks.importance is not None, mode="scalar"):
                 lit = smooth & ~at_eye if lit_apart else smooth
                 gloss = Gloss.of(si, reflected, pdf, lit)
-                picks = asks.known_at(si.p, gloss, sampler, lit)
+                picks = asks.picks_at(si.p, gloss, sampler, lit)
                 chosen = asks.choose(vertex, chosen, gloss, picks, lit, sampler)
                 answering = lit_from(si, chosen.place, chosen.alone, spread)
-                reflected, pdf = bsdf.eval_pdf(context, answering, si.to_local(chosen.direction), chosen.asked & smooth)
-            value, gain = bands.reflectance(reflected, reading), bands.reflectance(kept, reading)
+                reflected, pdf = bsdf.eval_pdf(
+                    context, answering, si.to_local(chosen.direction), chosen.exists & smooth
+                )
+            value, gain = bands.reflectance(reflected, reading), bands.reflectance(onward, reading)
             if dr.hint(self.foggy, mode="scalar"):
                 phase_value = medium.phase.value(dr.dot(ray.d, chosen.direction))
                 value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
@@ -358,8 +351,8 @@ class FogPath:
             if dr.hint(asks.at_surfaces or asks.importance is not None, mode="scalar"):
                 weight = dr.select(chosen.alone, 1.0, mis_weight(chosen.pdf, pdf))
                 light = throughput * value * self.light_groups.light(chosen.power, chosen.group)
-                asked = chosen.asked & dr.any(light != 0.0)  # a light behind the surface is worth no ray
-                free, reach_light = asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, asked)
+                shines = chosen.exists & dr.any(light != 0.0)  # a light behind the surface is worth no ray
+                free, reach_light = asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, shines)
                 light = dr.select(free, light * (weight * reach_light), black)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, chosen.group)
 
@@ -407,17 +400,17 @@ class FogPath:
             over = active & ~alive
             finite = dr.all(dr.isfinite(path))
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
-            begun += dr.select(over, mi.UInt32(1), mi.UInt32(0))
-            done = over & (begun >= wanted)
+            number += dr.select(over, mi.UInt32(1), mi.UInt32(0))
+            done = over & (number >= paths)
             tasks.deliver(task, done, [part for light in (*aovs, *sums) for part in light], [lost])
             aovs, sums = ([dr.select(done, black, total) for total in totals] for totals in (aovs, sums))
             lost = dr.select(done, mi.UInt32(0), lost)
-            begun = dr.select(done, mi.UInt32(0), begun)
+            number = dr.select(done, mi.UInt32(0), number)
             task = dr.select(done, tasks.after(task), task)
             again = over & tasks.there(task)
             next_pixel, next_first = tasks.of(task, done & again)
             pixel, first = dr.select(done, next_pixel, pixel), dr.select(done, next_first, first)
-            sampler = sampler.restarted(again, Sobol(image_seed, pixel, first + begun))
+            sampler = sampler.restarted(again, Sobol(image_seed, pixel, first + number))
             view, view_weight = self.eye.ray(sampler, self.eye.raster.corner(pixel), again)
             ray = dr.select(again, view, ray)
             throughput, scale = dr.select(again, bands.even(view_weight), throughput), dr.select(again, 1.0, scale)
@@ -432,7 +425,7 @@ class FogPath:
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
-    def sample_flight(self, ray: Any, u: Any, may_scatter: Any) -> tuple[Any, Any, Any]:
+    def sample_flight(self, ray: Ray3f, u: Float, may_scatter: Bool) -> tuple[Float, Float, Float]:
         """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not:
         density in proportion to transmittance.
         """
@@ -444,8 +437,8 @@ class FogPath:
         return near, far, dr.select(may_scatter & (distance < far), distance, dr.inf)
 
     def split_camera_segment(
-        self, inscattered: bool, tau: Any, throughput: Any, scale: Any, sampler: Any, at_eye: Any
-    ) -> tuple[Any, Any]:
+        self, inscattered: bool, tau: Float, throughput: SampledSpectrum, scale: Float, sampler: Sobol, at_eye: Bool
+    ) -> tuple[SampledSpectrum, Float]:
         """(3) Throughput of the side of the camera's segment that is followed, T or 1 - T. A faint
         one faces Russian roulette, and its weight is the new scale.
         """
@@ -455,7 +448,9 @@ class FogPath:
         share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
-    def sample_camera_segment(self, ray: Any, near: Any, stop: Any, tau: Any, u: Any, at_eye: Any) -> tuple[Any, Any]:
+    def sample_camera_segment(
+        self, ray: Ray3f, near: Float, stop: Float, tau: Float, u: Float, at_eye: Bool
+    ) -> tuple[Bool, Float]:
         """(3) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
         extinction.
         """
@@ -465,7 +460,7 @@ class FogPath:
             some &= False
         return some, self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
 
-    def roulette(self, throughput: Any, scale: Any, depth: Any) -> Any:
+    def roulette(self, throughput: SampledSpectrum, scale: Float, depth: UInt32) -> Float:
         """(11) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little."""
         return dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
 

@@ -7,7 +7,7 @@ Source: Mitsuba 3, src/integrators/volpath.cpp and volpathmis.cpp.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -23,8 +23,11 @@ from synfog_usd.render.integrators.path import RR_DEPTH
 from synfog_usd.render.load import MitsubaScene, make_sensor
 from synfog_usd.render.motion import moved
 
+if TYPE_CHECKING:
+    from mitsuba import SamplingIntegrator
+
 LANES_PER_PASS = 1 << 21
-"""Paths in flight at once; measured 0.2 GB above the scene in `volpath`."""
+"""Paths in flight together; measured 0.2 GB above the scene in `volpath`."""
 
 SCALAR_PASSES = 8
 
@@ -37,7 +40,7 @@ class Peer:
         integrator: Mitsuba's.
     """
 
-    def __init__(self, loaded: MitsubaScene, integrator: Any) -> None:
+    def __init__(self, loaded: MitsubaScene, integrator: SamplingIntegrator) -> None:
         self.loaded, self.integrator = loaded, integrator
 
     def accumulate(self, *, samples: int, seed: int, progress: Progress = silent) -> Accumulator:
@@ -64,7 +67,9 @@ def make_peer(loaded: MitsubaScene, *, plugin: str) -> Peer:
     return Peer(loaded, backend.mitsuba().load_dict({"type": plugin, "max_depth": -1, "rr_depth": RR_DEPTH}))
 
 
-def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) -> tuple[Array, Array, int]:
+def _side_by_side(
+    loaded: MitsubaScene, integrator: SamplingIntegrator, count: int, seed: int
+) -> tuple[Array, Array, int]:
     """One lane a path, a contiguous run of them a pixel."""
     mi = backend.mitsuba()
     camera = loaded.source.camera
@@ -91,7 +96,7 @@ def _side_by_side(loaded: MitsubaScene, integrator: Any, count: int, seed: int) 
 
 
 def _accumulate_scalar(
-    loaded: MitsubaScene, integrator: Any, samples: int, seed: int, progress: Progress
+    loaded: MitsubaScene, integrator: SamplingIntegrator, samples: int, seed: int, progress: Progress
 ) -> Accumulator:
     """Whole renders with seeds of their own; their scatter gives the variance.
 

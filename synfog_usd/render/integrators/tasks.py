@@ -7,11 +7,14 @@ the more lengths differ.  A task's result is written to a place of its own, so w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
 from synfog_usd.render import backend
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
 
 PATHS = 32
 """Paths of a lane that even out their lengths."""
@@ -33,7 +36,7 @@ class Tasks:
         floats, counts: how many numbers of either kind come of a task.
     """
 
-    def __init__(self, pixel: Any, first: Any, paths: int, floats: int, counts: int) -> None:
+    def __init__(self, pixel: UInt32, first: UInt32, paths: int, floats: int, counts: int) -> None:
         mi = backend.mitsuba()
         number = max(dr.width(pixel), dr.width(first))
         least = LEAST_LANES_CUDA if backend.is_cuda() else LEAST_LANES
@@ -44,26 +47,26 @@ class Tasks:
         self.floats = [dr.empty(mi.Float, number) for _ in range(floats)]
         self.counts = [dr.empty(mi.UInt32, number) for _ in range(counts)]
 
-    def begun(self) -> Any:
+    def first_tasks(self) -> UInt32:
         """Each lane's first task; kept from the compiler, which makes another kernel where every lane has but one."""
         first = dr.arange(backend.mitsuba().UInt32, self._lanes)
         dr.make_opaque(first)
         return first
 
-    def after(self, task: Any) -> Any:
+    def after(self, task: UInt32) -> UInt32:
         """The same lane's next one; neighbours stay neighbours."""
         return task + self._stride
 
-    def there(self, task: Any) -> Any:
+    def there(self, task: UInt32) -> Bool:
         """Whether there is one of this number."""
         return task < self._number
 
-    def of(self, task: Any, active: Any) -> tuple[Any, Any]:
+    def of(self, task: UInt32, active: Bool) -> tuple[UInt32, UInt32]:
         """Its pixel and the number of its first path."""
         mi = backend.mitsuba()
         return dr.gather(mi.UInt32, self._pixel, task, active), dr.gather(mi.UInt32, self._first, task, active)
 
-    def deliver(self, task: Any, done: Any, floats: Sequence[Any], counts: Sequence[Any]) -> None:
+    def deliver(self, task: UInt32, done: Bool, floats: Sequence[Float], counts: Sequence[UInt32]) -> None:
         """Write what came of it."""
         for target, value in zip((*self.floats, *self.counts), (*floats, *counts), strict=True):
             dr.scatter(target, value, task, done)

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd.base.numbers import RGB
 from synfog_usd.render import backend
+from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.integrators.path import FogPath, Truncation
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, unsupported_fog
-from synfog_usd.render.models import RGB
 from synfog_usd.render.spectra.bands import Bands
 from synfog_usd.scene import SceneDict
 
@@ -41,7 +42,7 @@ def make_tracer(
     world = loaded.source.world
     sampled = sum(is_sampled_light(part) for part in world.values())
     sky = loaded.scene.environment() is not None
-    others = len(loaded.scene.emitters()) - sky - sampled
+    other_lights = len(loaded.scene.emitters()) - sky - sampled
     spectra, kind_of = _emissions(loaded, bands)
     carried = Bands(bands, loaded.source.fog, spectra)
     carried.assign_spectral_bsdfs(loaded)
@@ -58,11 +59,9 @@ def make_tracer(
         loaded,
         medium,
         lights=lights,
-        others=others,
+        other_lights=other_lights,
+        light_groups=LightGroups(names, of_emitter, carried),
         truncation=cut,
-        groups=names,
-        group_of_emitter=of_emitter,
-        bands=carried,
         regularize=regularize,
     )
 
@@ -79,14 +78,14 @@ def path_refuses(scene: SceneDict) -> str:
 
 def _emissions(loaded: MitsubaScene, bands: int) -> tuple[list[Any], dict[str, int]]:
     """Spectra of lamps that have their own, each once, and key of a lamp -> its kind of light, from 1 on."""
-    known: dict[bytes, int] = {}
+    number_of: dict[bytes, int] = {}
     spectra, kind_of = [], {}
     for key, curve in loaded.source.emission_of.items() if bands != RGB else ():
         word = curve.tobytes()
-        if word not in known:
+        if word not in number_of:
             spectra.append(curve)
-            known[word] = len(spectra)
-        kind_of[key] = known[word]
+            number_of[word] = len(spectra)
+        kind_of[key] = number_of[word]
     return spectra, kind_of
 
 
@@ -108,11 +107,11 @@ def _groups(
         key: emitter_index(loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else loaded.parts[key])
         for key in shining
     }
-    others = [
+    everything = [
         emitter_index(emitter) for emitter in loaded.scene.emitters()
     ]  # a scene made by hand may name its lights otherwise: the sky's
     table = np.full(
-        max([*index_of.values(), *others], default=0) + 1,
+        max([*index_of.values(), *everything], default=0) + 1,
         kinds * (names.index("sky") if "sky" in names else 0),
         dtype=np.uint32,
     )

@@ -45,13 +45,13 @@ def crowded(source: SceneDict) -> dict[str, tuple[Mapping[str, Any], int]]:
     by_kind: dict[tuple[Any, ...], list[int]] = {}
     for number in far:
         by_kind.setdefault(kinds[keys[number]], []).append(int(number))
-    found, block = {}, 0
+    crowd, block = {}, 0
     for members in by_kind.values():
         for numbers in _blocks(np.array(members), place, max(1, BLOCKS * len(members) // len(far))):
             for number in numbers:
-                found[keys[number]] = _as_mesh(source.world[keys[number]]), block
+                crowd[keys[number]] = _as_mesh(source.world[keys[number]]), block
             block += 1
-    return found
+    return crowd
 
 
 def _known(source: SceneDict, key: str) -> bool:

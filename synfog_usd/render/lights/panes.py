@@ -9,13 +9,19 @@ shadow rays: paths find what is behind them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float
+    from mitsuba import PreliminaryIntersection3f, Ray3f, Scene, ShapePtr
+
+    from synfog_usd.render.placed import PlacedScene
 
 MOST_PASSED = 8
 """Panes that a shadow ray passes, both sides of a car's windows and more; behind so many it is dark."""
@@ -51,15 +57,17 @@ class Panes:
         table[list(through)] = list(through.values())
         return cls(table)
 
-    def share(self, shape: Any, active: Any) -> Any:
+    def share(self, shape: ShapePtr, active: Bool) -> Float:
         """What a shape lets through straight; 0 of what is no pane."""
         mi = backend.mitsuba()
-        number = dr.reinterpret_array(mi.UInt32, shape)
-        known = active & (number < self._count)
-        return dr.select(known, dr.gather(mi.Float, self._through, number, known), 0.0)
+        number = backend.indices_of(shape)
+        tabled = active & (number < self._count)
+        return dr.select(tabled, dr.gather(mi.Float, self._through, number, tabled), 0.0)
 
     @dr.syntax
-    def beyond(self, tree: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    def beyond(
+        self, tree: Scene | PlacedScene, ray: Ray3f, active: Bool
+    ) -> tuple[Bool, PreliminaryIntersection3f, Ray3f, Float]:
         """The first that a ray meets and is no pane.
 
         Args:
@@ -67,28 +75,28 @@ class Panes:
             ray: which; it ends at its `maxt`.
 
         Returns:
-            whether there is anything, what it is, the ray from the last pane on, and the share of light that the panes
-            before let through, 0 where they are too many.
+            whether there is anything; the surface; the ray from the last pane on; and the share of light that the
+            panes before let through, 0 where they are too many.
         """
         mi = backend.mitsuba()
         ray, through = mi.Ray3f(ray), dr.select(active, mi.Float(1.0), 0.0)
-        met, passed = dr.zeros(mi.PreliminaryIntersection3f), mi.UInt32(0)
-        found, going = mi.Bool(False), mi.Bool(active)
+        hit, passed = dr.zeros(mi.PreliminaryIntersection3f), mi.UInt32(0)
+        blocked, going = mi.Bool(False), mi.Bool(active)
         while going:
-            met = tree.ray_intersect_preliminary(ray, False, going)
-            hit = going & met.is_valid()
-            share = self.share(met.shape, hit)
-            found, pane = hit & (share == 0.0), share > 0.0
+            hit = tree.ray_intersect_preliminary(ray, False, going)
+            valid = going & hit.is_valid()
+            share = self.share(hit.shape, valid)
+            blocked, pane = valid & (share == 0.0), share > 0.0
             passed += 1
             through = dr.select(pane, dr.select(passed > MOST_PASSED, 0.0, through * share), through)
-            step = met.t + PAST * dr.maximum(dr.max(dr.abs(ray.o)), 1.0)
+            step = hit.t + PAST * dr.maximum(dr.max(dr.abs(ray.o)), 1.0)
             ray.o = dr.select(pane, ray.o + ray.d * step, ray.o)
             ray.maxt = dr.select(pane, ray.maxt - step, ray.maxt)
             going = pane & (ray.maxt > 0.0) & (through > 0.0)
-        return found, met, ray, through
+        return blocked, hit, ray, through
 
 
-def _share(world: Mapping[str, Any], bsdf: Any) -> float:
+def _share(world: Mapping[str, Any], bsdf: Mapping[str, Any] | None) -> float:
     if isinstance(bsdf, Mapping) and bsdf.get("type") == "ref":
         bsdf = world[bsdf["id"]]
     if not isinstance(bsdf, Mapping) or bsdf["type"] != "mask":

@@ -15,13 +15,27 @@ Knows nothing of files; see `translate.ies`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.render import backend
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import (
+        Color3f,
+        DirectionSample3f,
+        Interaction3f,
+        Point2f,
+        Properties,
+        ScalarBoundingBox3f,
+        SurfaceInteraction3f,
+        Vector3f,
+    )
 
 TYPE = "photometric"
 
@@ -70,7 +84,7 @@ class Tables:
         self.columns = backend.numbers([table.shape[1] for table in tables])
         dr.make_opaque(self.values, self.begin, self.rows, self.columns)
 
-    def at(self, which: Any, local: Any, active: Any = True) -> Any:
+    def at(self, which: UInt32, local: Vector3f, active: Bool | bool = True) -> Float:
         """The factor of table `which` in a direction of the lamp's own frame."""
         mi = backend.mitsuba()
         begin, rows, columns = (
@@ -87,7 +101,9 @@ class Tables:
         return dr.lerp(low, high, y)
 
 
-def _cell(mi: Any, local: Any, rows: Any, columns: Any) -> tuple[Any, Any, Any, Any]:
+def _cell(
+    mi: ModuleType, local: Vector3f, rows: UInt32 | int, columns: UInt32 | int
+) -> tuple[UInt32, UInt32, Float, Float]:
     """Row, column and shares of the next ones, for a direction."""
     polar = dr.atan2(dr.sqrt(local.x * local.x + local.y * local.y), local.z) * dr.inv_pi
     around = dr.atan2(local.y, local.x) * (0.5 * dr.inv_pi)
@@ -97,11 +113,11 @@ def _cell(mi: Any, local: Any, rows: Any, columns: Any) -> tuple[Any, Any, Any, 
     return row, column, v - mi.Float(row), h - mi.Float(column)
 
 
-def _plugin(mi: Any) -> type:
+def _plugin(mi: ModuleType) -> type:
     """Mitsuba's side; its base class exists only once a variant is chosen."""
 
     class Photometric(mi.Emitter):  # type: ignore[misc]
-        def __init__(self, properties: Any) -> None:
+        def __init__(self, properties: Properties) -> None:
             super().__init__(properties)
             table = np.array(properties["bitmap"], dtype=np.float64)
             table = table if table.ndim == 3 else table[:, :, None]
@@ -117,23 +133,25 @@ def _plugin(mi: Any) -> type:
             self.m_flags = mi.EmitterFlags.DeltaPosition
             self.m_needs_sample_2 = False
 
-        def stand(self, matrix: Any) -> None:
+        def stand(self, matrix: Array) -> None:
             self.place = mi.Point3f(matrix[:3, 3].tolist())
             self.axes = [mi.Vector3f((matrix[:3, k] / np.linalg.norm(matrix[:3, k])).tolist()) for k in range(3)]
             if not self.scalar:
                 dr.make_opaque(self.place, self.axes)
 
-        def factor(self, direction: Any, active: Any) -> Any:
+        def factor(self, direction: Vector3f, active: Bool | bool) -> Color3f:
             local = mi.Vector3f(*(dr.dot(axis, direction) for axis in self.axes))
             if self.kernel is not None:
-                found = [self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)]
+                factors = [self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)]
             else:
                 row, column, y, x = _cell(mi, local, self.shape[0], self.shape[1])
                 weights = np.outer([1.0 - y, y], [1.0 - x, x])
-                found = [float((table[row : row + 2, column : column + 2] * weights).sum()) for table in self.tables]
-            return mi.Color3f(*found) if self.channels == 3 else mi.Color3f(found[0])
+                factors = [float((table[row : row + 2, column : column + 2] * weights).sum()) for table in self.tables]
+            return mi.Color3f(*factors) if self.channels == 3 else mi.Color3f(factors[0])
 
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:  # Mitsuba's own signature
+        def sample_direction(
+            self, it: Interaction3f, sample: Point2f, active: Bool | bool = True
+        ) -> tuple[DirectionSample3f, Color3f]:  # Mitsuba's own signature
             sent = mi.DirectionSample3f() if self.scalar else dr.zeros(mi.DirectionSample3f)
             sent.p = self.place
             between = self.place - it.p
@@ -145,17 +163,17 @@ def _plugin(mi: Any) -> type:
             sent.emitter = self if self.scalar else mi.EmitterPtr(self)
             return sent, self.colour * self.factor(-sent.d, active) / square
 
-        def eval_direction(self, it: Any, sent: Any, active: Any = True) -> Any:
+        def eval_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Color3f:
             square = dr.maximum(dr.squared_norm(self.place - it.p), 1e-12)
             return self.colour * self.factor(-sent.d, active) / square
 
-        def pdf_direction(self, it: Any, sent: Any, active: Any = True) -> Any:
+        def pdf_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Float:
             return mi.Float(0.0)
 
-        def eval(self, si: Any, active: Any = True) -> Any:
+        def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
             return mi.Color3f(0.0)
 
-        def bbox(self) -> Any:
+        def bbox(self) -> ScalarBoundingBox3f:
             return mi.ScalarBoundingBox3f()
 
         def to_string(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -17,6 +17,10 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import Color3f, Point3f, Vector3f
 
 LAMP = np.dtype(
     [
@@ -60,7 +64,7 @@ SPOT_BEAM = 0.75
 """Mitsuba's share of the cutoff within which a spot is even, where none is given."""
 
 
-def is_sampled_light(part: Any) -> bool:
+def is_sampled_light(part: Mapping[str, Any] | str) -> bool:
     """Whether a shape or light of a scene is one that `LightSampler` holds."""
     if not isinstance(part, Mapping):
         return False
@@ -86,62 +90,64 @@ def luminous_peak(rows: np.ndarray) -> Array:
 
 def summaries(lamps: Sequence[np.ndarray]) -> np.ndarray:
     """(N,) of `SUMMARY`, one for each lamp's rows (M,) of `LAMP`."""
-    found = np.zeros(len(lamps), dtype=SUMMARY)
-    found["table"] = -1.0
+    summary = np.zeros(len(lamps), dtype=SUMMARY)
+    summary["table"] = -1.0
     for number, rows in enumerate(lamps):
-        _summarize(found[number : number + 1], rows)
-    return found
+        _summarize(summary[number : number + 1], rows)
+    return summary
 
 
-def _summarize(one: np.ndarray, rows: np.ndarray) -> None:
+def _summarize(summary: np.ndarray, rows: np.ndarray) -> None:
     """Fill in the summary (1,) of one lamp."""
     light = luminous_peak(rows)
-    one["peak"] = light.sum()
+    summary["peak"] = light.sum()
     if rows["is_beam"][0] > 0.5:  # of a lamp with three tables the brightest stands for all
         brightest = rows[int(np.argmax(light))]
         for name in ("position", "axis", "cutoff", "slope", "is_beam", "table", "table_x"):
-            one[name] = brightest[name]
+            summary[name] = brightest[name]
         return
     weights = light + 1e-30
-    one["position"] = np.average(rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=weights)
+    summary["position"] = np.average(
+        rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=weights
+    )
     axis = np.average(rows["axis"], axis=0, weights=weights)
     lean = np.linalg.norm(axis)
     if lean < 0.5:  # it shines all around
-        one["axis"], one["peak"], one["is_beam"] = (0.0, 0.0, 1.0), light.sum() / 4.0, 1.0
-        one["cutoff"], one["slope"] = EVERYWHERE
+        summary["axis"], summary["peak"], summary["is_beam"] = (0.0, 0.0, 1.0), light.sum() / 4.0, 1.0
+        summary["cutoff"], summary["slope"] = EVERYWHERE
     else:
-        one["axis"], one["slope"] = axis / lean, 1.0
+        summary["axis"], summary["slope"] = axis / lean, 1.0
 
 
 @dataclass
 class LampRow:
     """One row of each lane, in a kernel; fields as in `LAMP`."""
 
-    position: Any
-    edge_u: Any
-    edge_v: Any
-    axis: Any
-    colour: Any
-    cutoff: Any
-    slope: Any
-    is_beam: Any
-    group: Any
-    table: Any = None
-    table_x: Any = None
+    position: Point3f
+    edge_u: Vector3f
+    edge_v: Vector3f
+    axis: Vector3f
+    colour: Color3f
+    cutoff: Float
+    slope: Float
+    is_beam: Float
+    group: Float
+    table: Float | None = None
+    table_x: Vector3f | None = None
 
 
 @dataclass
 class SummaryRow:
     """One lamp in short of each lane, in a kernel; fields as in `SUMMARY`."""
 
-    position: Any
-    axis: Any
-    peak: Any
-    cutoff: Any
-    slope: Any
-    is_beam: Any
-    table: Any = None
-    table_x: Any = None
+    position: Point3f
+    axis: Vector3f
+    peak: Float
+    cutoff: Float
+    slope: Float
+    is_beam: Float
+    table: Float | None = None
+    table_x: Vector3f | None = None
 
 
 Row = TypeVar("Row", LampRow, SummaryRow)
@@ -162,10 +168,10 @@ class Columns(Generic[Row]):
         self.columns = {name: [backend.floats(column) for column in np.atleast_2d(rows[name].T)] for name in names}
         dr.make_opaque(self.columns)
 
-    def at(self, index: Any, active: Any = True) -> Row:
+    def at(self, index: UInt32, active: Bool | bool = True) -> Row:
         """The rows of some numbers."""
         mi = backend.mitsuba()
-        found = {
+        values_of = {
             name: [dr.gather(mi.Float, column, index, active) for column in columns]
             for name, columns in self.columns.items()
         }
@@ -173,7 +179,7 @@ class Columns(Generic[Row]):
         return self.row(
             **{
                 name: values[0] if len(values) == 1 else kinds.get(name, mi.Vector3f)(*values)
-                for name, values in found.items()
+                for name, values in values_of.items()
             }
         )
 
@@ -186,11 +192,11 @@ def _blank(count: int) -> np.ndarray:
 
 def _faces(mesh: Mapping[str, Any]) -> np.ndarray:
     corners = np.asarray(mesh["positions"], dtype=np.float64)[np.asarray(mesh["faces"], dtype=np.int64)]
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, other)
+    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge_u, edge_v)
     double_area = np.linalg.norm(normal, axis=1)
     rows = _blank(len(corners))
-    rows["position"], rows["edge_u"], rows["edge_v"] = corners[:, 0], one, other
+    rows["position"], rows["edge_u"], rows["edge_v"] = corners[:, 0], edge_u, edge_v
     rows["axis"] = normal / np.maximum(double_area, 1e-30)[:, None]
     rows["colour"] = 0.5 * double_area[:, None] * np.asarray(mesh["emitter"]["radiance"]["value"], dtype=np.float64)
     rows["solid_angle"] = np.pi

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -20,7 +20,14 @@ from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.importance import PICKS, Picks
 from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
-from synfog_usd.render.sampling.reservoir import Reservoir
+from synfog_usd.render.sampling.reservoir import Candidate, Reservoir
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import Color3f, Point3f, Vector3f
+
+    from synfog_usd.render.media.medium import Medium
+    from synfog_usd.render.sampling.sobol import Sobol
 
 MOST = 12
 """Lights that are all asked."""
@@ -42,13 +49,13 @@ class LightSampler:
         rows: list[np.ndarray] = []
         keys: list[str] = []
         self.tables: list[np.ndarray] = []
-        known: dict[tuple[Any, ...], int] = {}
+        numbers: dict[tuple[Any, ...], int] = {}
         for key, part in world.items():
             if is_sampled_light(part):
                 block = lamp_rows(part)
                 block["group"] = groups.get(key, 0)
                 if part["type"] == photometric.TYPE:
-                    block["table"] = [self._kept(table, known) for table in channels(part)]
+                    block["table"] = [self._number_of(table, numbers) for table in channels(part)]
                 block = block[luminous_peak(block) > 0.0]
                 if len(block):
                     rows.append(block)
@@ -66,30 +73,30 @@ class LightSampler:
         self.light = photometric.Tables(self.tables) if self.photometric else None
         self.begin = backend.floats(np.arange(self.count) / self.count)  # each lamp's share of the faces' distribution
         self.share = dr.opaque(mi.Float, 1.0 / self.count)
-        drawn = np.array([luminous_peak(block).max() * np.sqrt(block["solid_angle"][0]) for block in rows])
-        self.choice = mi.DiscreteDistribution(backend.floats(drawn))
+        weights = np.array([luminous_peak(block).max() * np.sqrt(block["solid_angle"][0]) for block in rows])
+        self.choice = mi.DiscreteDistribution(backend.floats(weights))
         g = min(max(abs(mean_cosine), 0.2), 0.99)
-        self.width = dr.opaque(
-            mi.Float, (1.0 - g) / np.sqrt(g)
-        )  # of Henyey and Greenstein's peak, 1 + g^2 - 2 g cos = (1 - g)^2 + g angle^2 + ...
+        self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak [rad]
         self.many = self.count > MOST
         self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
         dr.make_opaque(self.begin)
 
-    def _kept(self, table: np.ndarray, known: dict[tuple[Any, ...], int]) -> int:
+    def _number_of(self, table: np.ndarray, numbers: dict[tuple[Any, ...], int]) -> int:
         """Number of a table among all; lamps of one make share one."""
         key = (table.shape, hashlib.sha256(table.tobytes()).digest())
-        if key not in known:
-            known[key] = len(self.tables)
+        if key not in numbers:
+            numbers[key] = len(self.tables)
             self.tables.append(table)
-        return known[key]
+        return numbers[key]
 
-    def _candidate(self, number: Any, sampler: Any, active: Any, known: Picks | None = None) -> tuple[Any, Any, Any]:
+    def _candidate(
+        self, number: UInt32, sampler: Sobol, active: Bool, picks: Picks | None = None
+    ) -> tuple[Point3f, LampRow, Float]:
         """A point on a lamp: (position, its row, its probability among all that could have been asked)."""
         mi = backend.mitsuba()
         probability = mi.Float(1.0)
         if self.many:
-            number, probability = self._drawn(number, sampler, active, known)
+            number, probability = self._pick(number, sampler, active, picks)
             probability = probability * self.asked
         at = (
             dr.gather(mi.Float, self.begin, number, active)
@@ -103,19 +110,19 @@ class LightSampler:
         position = row.position + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
         return position, row, probability
 
-    def _drawn(self, number: Any, sampler: Any, active: Any, known: Picks | None) -> tuple[Any, Any]:
+    def _pick(self, number: UInt32, sampler: Sobol, active: Bool, picks: Picks | None) -> tuple[UInt32, Float]:
         """One of many lamps, and its probability."""
-        if known is not None:
-            return known.at(number)
+        if picks is not None:
+            return picks.at(number)
         return self.choice.sample_pmf(sampler.next_1d(active), active)
 
-    def sent(self, row: LampRow, direction: Any) -> Any:
+    def sent(self, row: LampRow, direction: Vector3f) -> Float:
         """Intensity in a direction away from the lamp, as a share of the row's colour."""
         mi = backend.mitsuba()
         cosine = dr.dot(row.axis, direction)
         beam = dr.clip((row.cutoff - dr.acos(dr.clip(cosine, -1.0, 1.0))) * row.slope, 0.0, 1.0)
         sent = dr.select(row.is_beam > 0.5, beam, dr.maximum(cosine, 0.0))
-        if self.light is None:
+        if self.light is None or row.table is None or row.table_x is None:
             return sent
         tabled = row.table >= 0.0
         axis, x = row.axis, row.table_x
@@ -125,22 +132,22 @@ class LightSampler:
     @dr.syntax
     def along(
         self,
-        origin: Any,
-        direction: Any,
-        begin: Any,
-        end: Any,
-        medium: Any,
-        sampler: Any,
-        active: Any,
-        known: Picks | None = None,
-    ) -> tuple[Any, Any, Any, Any]:
+        origin: Point3f,
+        direction: Vector3f,
+        begin: Float,
+        end: Float,
+        medium: Medium,
+        sampler: Sobol,
+        active: Bool,
+        picks: Picks | None = None,
+    ) -> tuple[Point3f, Point3f, Color3f, UInt32]:
         """One lamp's light scattered once along a stretch of a ray.
 
         Args:
             origin, direction: the ray.
             begin, end: the stretch, as distances [m].
             medium: the fog.
-            known: where there are many, those that are drawn (`Importance`); None to draw by flux and peak.
+            picks: where there are many, those that are drawn (`Importance`); None to draw by flux and peak.
 
         Returns:
             where it scatters, where the lamp is, colour such that colour x transmittance
@@ -148,16 +155,13 @@ class LightSampler:
         """
         mi = backend.mitsuba()
         active = active & (end > begin)
-        kept, index = Reservoir(), mi.UInt32(0)
+        reservoir, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
-            lamp, row, probability = self._candidate(index, sampler, active, known)
+            lamp, row, probability = self._candidate(index, sampler, active, picks)
             nearest = dr.dot(lamp - origin, direction)
             height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-4)
             # the angle by which light must turn grows along the ray from 0 to pi
-            low, high = (
-                0.5 * dr.pi + dr.atan((begin - nearest) / height),
-                0.5 * dr.pi + dr.atan((end - nearest) / height),
-            )
+            low, high = (0.5 * dr.pi + dr.atan((edge - nearest) / height) for edge in (begin, end))
             low_share, high_share = _peak_share(low, self.width), _peak_share(high, self.width)
             for by_angle in (True, False):
                 u = sampler.next_1d(active)
@@ -167,39 +171,37 @@ class LightSampler:
                 distance = dr.clip(nearest + height * dr.tan(angle - 0.5 * dr.pi), begin, end)
                 step = distance - nearest
                 turn = 0.5 * dr.pi + dr.atan(step / height)
-                even, peaked = (
-                    1.0 / dr.maximum(high - low, 1e-9),
-                    _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12),
-                )
+                even = 1.0 / dr.maximum(high - low, 1e-9)
+                peaked = _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12)
                 density = (even + peaked) * height / (height * height + step * step)
                 place = origin + direction * distance
                 between = place - lamp
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
-                strength = (
-                    self.sent(row, towards)
-                    * medium.phase.value(-dr.dot(towards, direction))
-                    * through
-                    * medium.scattering(place)
-                    / square
-                )
-                value = row.colour * strength
+                strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction))
+                value = row.colour * (strength * through * medium.scattering(place) / square)
                 dimmed = mi.luminance(value) * dr.exp(-medium.media[0].sigma_t * dr.sqrt(square))
-                kept = kept.update(place, lamp, value, row.group, dimmed, density * probability, sampler, active)
+                candidate = Candidate(place, lamp, value, row.group, dimmed)
+                reservoir = reservoir.update(candidate, density * probability, sampler, active)
             index += 1
-        return kept.place, kept.lamp, kept.estimate(), mi.UInt32(kept.group)
+        return reservoir.place, reservoir.lamp, reservoir.estimate(), mi.UInt32(reservoir.group)
 
     @dr.syntax
     def at(
-        self, place: Any, response: Callable[[Any], Any], sampler: Any, active: Any, known: Picks | None = None
-    ) -> tuple[Any, Any, Any, Any]:
+        self,
+        place: Point3f,
+        response: Callable[[Vector3f], Float],
+        sampler: Sobol,
+        active: Bool,
+        picks: Picks | None = None,
+    ) -> tuple[Point3f, Color3f, UInt32, Float]:
         """One lamp's light on a point.
 
         Args:
             place: the point.
             response: what a surface there makes of light from a unit direction towards it, in short.
-            known: as in `along`.
+            picks: as in `along`.
 
         Returns:
             where the lamp is, its irradiance across the ray (no cosine at the
@@ -207,9 +209,9 @@ class LightSampler:
             face were to be expected per solid angle [1/sr] around this one, 0 for a lamp that is a point.
         """
         mi = backend.mitsuba()
-        kept, index = Reservoir(), mi.UInt32(0)
+        reservoir, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
-            lamp, row, probability = self._candidate(index, sampler, active, known)
+            lamp, row, probability = self._candidate(index, sampler, active, picks)
             between = place - lamp
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
@@ -220,31 +222,22 @@ class LightSampler:
                 0.0,
                 probability * 2.0 * square / dr.maximum(double_area * cosine, 1e-20),
             )
-            kept = kept.update(
-                place,
-                lamp,
-                value,
-                row.group,
-                mi.luminance(value) * response(-towards),
-                probability,
-                sampler,
-                active,
-                pdf,
-            )
+            candidate = Candidate(place, lamp, value, row.group, mi.luminance(value) * response(-towards), pdf)
+            reservoir = reservoir.update(candidate, probability, sampler, active)
             index += 1
-        return kept.lamp, kept.estimate(), mi.UInt32(kept.group), kept.pdf
+        return reservoir.lamp, reservoir.estimate(), mi.UInt32(reservoir.group), reservoir.pdf
 
 
-def _peak_density(angle: Any, width: Any) -> Any:
+def _peak_density(angle: Float, width: Float) -> Float:
     """Density over an angle that falls like a forward peak, (width^2 + angle^2)^-1.5; over 0 to infinity it is 1."""
     square = width * width + angle * angle
     return width * width / (square * dr.sqrt(square))
 
 
-def _peak_share(angle: Any, width: Any) -> Any:
+def _peak_share(angle: Float, width: Float) -> Float:
     """Its integral from 0 on."""
     return angle * dr.rsqrt(width * width + angle * angle)
 
 
-def _of_peak_share(share: Any, width: Any) -> Any:
+def _of_peak_share(share: Float, width: Float) -> Float:
     return width * share * dr.rsqrt(dr.maximum(1.0 - share * share, 1e-7))

@@ -1,15 +1,15 @@
 """The sky as surfaces ask it: by what it sends and by their normal.
 
-The renderer's own choice of a direction knows the sky's picture alone.  Of a sky that is even over some degrees, which
-all are but those with a sun, half of its directions would be asked from behind a wall, and as many at a flat angle as
-at a steep one.  Here the chance of a direction is its light times the cosine, tabled by normal and by direction, both
-in cells of equal solid angle: drawn by rows and then within them, so that points which fill the square evenly stay
-even on the sphere (the warping of Clarberg et al. 2005, in two levels).
+The renderer's own choice of a direction knows the sky's picture alone.  So a wall would ask
+half of its directions behind itself, and as many at a flat angle as at a steep one.  Here the chance of a direction is
+its light times the cosine.  A table has it by normal and by direction, both in cells of equal solid angle.  Rows are
+drawn first and cells within them (the warping of Clarberg et al. 2005, in two levels), so that points which fill the
+square evenly stay even on the sphere.  A sky with a sun is left to the renderer.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -17,6 +17,10 @@ import numpy as np
 from synfog_usd.base.arrays import Array
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import Color3f, Emitter, Normal3f, Point2f, Vector3f
 
 STEPS = 16
 """Cells by the height z of a direction, and by its azimuth; a power of 2."""
@@ -43,7 +47,7 @@ class SkyTable:
         environment: the renderer's.
     """
 
-    def __init__(self, environment: Any) -> None:
+    def __init__(self, environment: Emitter) -> None:
         mi = backend.mitsuba()
         self.environment = environment
         chances = _chances(environment)
@@ -58,38 +62,38 @@ class SkyTable:
         environment = loaded.scene.environment()
         return None if environment is None or _unevenness(environment) > MOST_UNEVEN else SkyTable(environment)
 
-    def row(self, normal: Any) -> Any:
+    def row(self, normal: Normal3f) -> UInt32:
         """The table's row for a normal."""
         height, azimuth = _cell(normal)
         return height * STEPS + azimuth
 
-    def draw(self, row: Any, u: Any) -> tuple[Any, Any]:
-        """A direction for a point in [0, 1)^2, and its density [1/sr]."""
+    def draw(self, row: UInt32, u: Point2f) -> tuple[Vector3f, Float]:
+        """A direction for a point of the unit square, and its density [1/sr]."""
         mi = backend.mitsuba()
-        height, up = _found(self._heights, row, u.x)
-        azimuth, along = _found(self._within, row * STEPS + height, u.y)
+        height, up = _step_of(self._heights, row, u.x)
+        azimuth, along = _step_of(self._within, row * STEPS + height, u.y)
         z = (mi.Float(height) + up) * (2.0 / STEPS) - 1.0
         sine, cosine = dr.sincos((mi.Float(azimuth) + along) * (2.0 * np.pi / STEPS))
         ring = dr.safe_sqrt(1.0 - z * z)
         return mi.Vector3f(ring * cosine, ring * sine, z), self._density(row, height, azimuth)
 
-    def density(self, row: Any, direction: Any) -> Any:
+    def density(self, row: UInt32, direction: Vector3f) -> Float:
         """Density [1/sr] with which `draw` has a direction."""
         return self._density(row, *_cell(direction))
 
-    def radiance(self, direction: Any, active: Any = True) -> Any:
+    def radiance(self, direction: Vector3f, active: Bool | bool = True) -> Color3f:
         """Radiance [cd m-2] of the sky in a direction."""
         si = dr.zeros(backend.mitsuba().SurfaceInteraction3f)
         si.wi = -direction
         return self.environment.eval(si, active)
 
-    def _density(self, row: Any, height: Any, azimuth: Any) -> Any:
+    def _density(self, row: UInt32, height: UInt32, azimuth: UInt32) -> Float:
         mi = backend.mitsuba()
         chance = dr.gather(mi.Float, self._chance, (row * STEPS + height) * STEPS + azimuth)
         return chance * (STEPS * STEPS / (4.0 * np.pi))
 
 
-def _cell(direction: Any) -> tuple[Any, Any]:
+def _cell(direction: Vector3f) -> tuple[UInt32, UInt32]:
     """Numbers of a direction's cell, by height and by azimuth."""
     mi = backend.mitsuba()
     turned = dr.atan2(direction.y, direction.x) * (0.5 / np.pi)
@@ -98,8 +102,8 @@ def _cell(direction: Any) -> tuple[Any, Any]:
     return dr.minimum(height, STEPS - 1), dr.minimum(mi.UInt32(turned * STEPS), STEPS - 1)
 
 
-def _found(cumulated: Any, row: Any, u: Any) -> tuple[Any, Any]:
-    """Which of a row's steps a number in [0, 1) falls into, and where in it, from 0 to 1."""
+def _step_of(cumulated: Float, row: UInt32, u: Float) -> tuple[UInt32, Float]:
+    """Which of a row's steps a number below 1 falls into, and where in it, as a share."""
     mi = backend.mitsuba()
     begin, step = row * (STEPS + 1), STEPS // 2
     at = mi.UInt32(0)
@@ -128,7 +132,7 @@ def _directions(within: int) -> Array:
     return cells.reshape(STEPS, STEPS, within * within, 3)
 
 
-def _chances(environment: Any) -> Array:
+def _chances(environment: Emitter) -> Array:
     """(STEPS^2, STEPS, STEPS) chance of each cell by the row of the normal; of each row they add up to 1."""
     mi = backend.mitsuba()
     directions = _directions(WITHIN).reshape(-1, 3)
@@ -147,7 +151,7 @@ def _chances(environment: Any) -> Array:
     return mixed / np.maximum(mixed.sum(axis=(1, 2), keepdims=True), 1e-30)
 
 
-def _unevenness(environment: Any, side: int = 128) -> float:
+def _unevenness(environment: Emitter, side: int = 128) -> float:
     """Second moment of the light over its density where directions are drawn by the light of their cells: 1 at best.
 
     From `side`^2 directions that the renderer draws by the light, so that a sun is among them.
@@ -156,15 +160,17 @@ def _unevenness(environment: Any, side: int = 128) -> float:
     place = (np.arange(side, dtype=np.float32) + 0.5) / side
     x, y = (mi.Float(axis.ravel()) for axis in np.meshgrid(place, place))
     sent, weight = environment.sample_direction(dr.zeros(mi.Interaction3f, side * side), mi.Point2f(x, y))
-    found, density = (_numbers(part, side * side) for part in (mi.luminance(weight), sent.pdf))
+    light_of_ray, density = (_numbers(part, side * side) for part in (mi.luminance(weight), sent.pdf))
     height, azimuth = (np.asarray(part) for part in _cell(sent.d))
     cell, number = height * STEPS + azimuth, STEPS * STEPS
-    light, squares = (np.bincount(cell, part, minlength=number) for part in (found, found * found * density))
+    light, squares = (
+        np.bincount(cell, part, minlength=number) for part in (light_of_ray, light_of_ray * light_of_ray * density)
+    )
     lit = light > 0.0
     even = light[lit] / side**2 / (4.0 * np.pi / number)  # radiance of each cell, if it were the same all over it
     return float(np.sum(squares[lit] / even) / light.sum()) if lit.any() else 1.0
 
 
-def _numbers(values: Any, count: int) -> Array:
+def _numbers(values: Float, count: int) -> Array:
     """(count,) traced numbers, of which there may be one for all."""
     return np.broadcast_to(np.asarray(values, dtype=np.float64), count)

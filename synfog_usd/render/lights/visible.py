@@ -12,16 +12,22 @@ plane, are left to chance, as all are where the camera has a lens, is a fisheye 
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 
-from synfog_usd.base.arrays import Array, Indices
+from synfog_usd.base.arrays import Array, Indices, Pixels
 from synfog_usd.render import backend
 from synfog_usd.render.lights.importance import emitter_index
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, is_thin_lens
+
+if TYPE_CHECKING:
+    from drjit.auto.ad import Bool, Float, UInt32
+    from mitsuba import EmitterPtr, Point2f
+
+    from synfog_usd.scene import Camera
 
 MOST_PX, MOST_SHARE = 256.0, 1.0 / 16.0
 """Pixels of its box in the picture, and their share of it, beyond which a lamp is large enough for chance."""
@@ -49,10 +55,10 @@ class VisibleFaces:
         count: how many pieces there are.
     """
 
-    def __init__(self, begin: Indices, corners: Array, area: Array, owner: Indices, emitters: Indices) -> None:
+    def __init__(self, begin: Indices, corners: Array, area: Array, owner: Indices, emitters: Pixels) -> None:
         self.count = len(area)
         if not self.count:
-            corners, area, owner = np.zeros((1, 3, 2)), np.zeros(1), np.zeros((1, 2))
+            corners, area, owner = np.zeros((1, 3, 2)), np.zeros(1), np.zeros((1, 2), dtype=np.int64)
         self.begin, self.emitters = backend.numbers(begin), backend.numbers(emitters)
         self.corners = [backend.floats(column) for column in corners.reshape(-1, 6).T]
         self.area, self.owner = backend.floats(area), [backend.numbers(column) for column in owner.T]
@@ -63,7 +69,7 @@ class VisibleFaces:
         camera = loaded.source.camera
         if camera.moves or not camera.plane or is_thin_lens(camera):
             return None
-        found: list[tuple[int, tuple[Point, Point, Point], float, int, int]] = []
+        pieces: list[tuple[int, tuple[Point, Point, Point], float, int, int]] = []
         inside: list[int] = []
         lit = False
         for key, part in loaded.source.world.items():
@@ -79,43 +85,43 @@ class VisibleFaces:
             inside.append(index := emitter_index(emitter))
             for number in np.flatnonzero(placed[1]):
                 for pixel, triangle, area in _cut(placed[0][number], camera.width_px, camera.height_px):
-                    found.append((pixel, triangle, area, index, int(number)))
+                    pieces.append((pixel, triangle, area, index, int(number)))
         if not lit:
             return None
-        found.sort(key=lambda piece: piece[0])
+        pieces.sort(key=lambda piece: piece[0])
         pixels = camera.width_px * camera.height_px
-        flags = np.zeros(max([*inside, *(emitter_index(one) for one in loaded.scene.emitters())]) + 1, dtype=np.uint32)
+        flags = np.zeros(max([*inside, *map(emitter_index, loaded.scene.emitters())]) + 1, dtype=np.uint32)
         flags[inside] = 1
         return cls(
-            np.searchsorted([piece[0] for piece in found], np.arange(pixels + 1)),
-            np.array([piece[1] for piece in found]),
-            np.array([piece[2] for piece in found]),
-            np.array([piece[3:] for piece in found], dtype=np.int64),
+            np.searchsorted([piece[0] for piece in pieces], np.arange(pixels + 1)),
+            np.array([piece[1] for piece in pieces]),
+            np.array([piece[2] for piece in pieces]),
+            np.array([piece[3:] for piece in pieces], dtype=np.int64),
             flags,
         )
 
-    def pieces(self, pixel: Any) -> tuple[Any, Any]:
+    def pieces(self, pixel: UInt32) -> tuple[UInt32, UInt32]:
         """Numbers of pixels' first pieces, and of those after their last."""
         mi = backend.mitsuba()
         return dr.gather(mi.UInt32, self.begin, pixel), dr.gather(mi.UInt32, self.begin, pixel + 1)
 
-    def point(self, piece: Any, u: Any) -> tuple[Any, Any, Any, Any]:
+    def point(self, piece: UInt32, u: Point2f) -> tuple[Point2f, Float, UInt32, UInt32]:
         """A point in a piece [pixels], its area, its emitter's index and its face's number."""
         mi = backend.mitsuba()
         ax, ay, bx, by, cx, cy = (dr.gather(mi.Float, column, piece) for column in self.corners)
         root = dr.sqrt(u.x)
-        one, two, three = 1.0 - root, root * (1.0 - u.y), root * u.y
-        place = mi.Point2f(ax * one + bx * two + cx * three, ay * one + by * two + cy * three)
+        a, b, c = 1.0 - root, root * (1.0 - u.y), root * u.y
+        place = mi.Point2f(ax * a + bx * b + cx * c, ay * a + by * b + cy * c)
         owner, face = (dr.gather(mi.UInt32, column, piece) for column in self.owner)
         return place, dr.gather(mi.Float, self.area, piece), owner, face
 
-    def holds(self, emitter: Any, active: Any) -> Any:
+    def holds(self, emitter: EmitterPtr, active: Bool) -> Bool:
         """Whether an emitter's faces are all in, so that no path must count them where the eye sees them."""
         mi = backend.mitsuba()
-        return active & (dr.gather(mi.UInt32, self.emitters, dr.reinterpret_array(mi.UInt32, emitter), active) > 0)
+        return active & (dr.gather(mi.UInt32, self.emitters, backend.indices_of(emitter), active) > 0)
 
 
-def _in_picture(corners: Array, camera: Any) -> tuple[Array, Array] | None:
+def _in_picture(corners: Array, camera: Camera) -> tuple[Array, Array] | None:
     """(F, 3, 2) corners of faces [pixels] and which of them face the eye; None where they are left to chance."""
     eye, turn = camera.to_world[:3, 3], camera.to_world[:3, :3]
     local = (corners - eye) @ turn
@@ -140,29 +146,29 @@ def _cut(triangle: Array, width: int, height: int) -> list[tuple[int, tuple[Poin
     corners: list[Point] = [(float(x), float(y)) for x, y in triangle]
     rows = range(max(int(np.floor(triangle[:, 1].min())), 0), min(int(np.ceil(triangle[:, 1].max())), height))
     columns = range(max(int(np.floor(triangle[:, 0].min())), 0), min(int(np.ceil(triangle[:, 0].max())), width))
-    found = []
+    pieces = []
     for row in rows:
         strip = _clipped(_clipped(corners, 1, row, 1.0), 1, row + 1, -1.0)
         for column in columns:
             outline = _clipped(_clipped(strip, 0, column, 1.0), 0, column + 1, -1.0)
-            for two, three in itertools.pairwise(outline[1:]):
-                piece = (outline[0], two, three)
+            for second, third in itertools.pairwise(outline[1:]):
+                piece = (outline[0], second, third)
                 if (area := _area(piece)) > LEAST_PX:
-                    found.append((row * width + column, piece, area))
-    return found
+                    pieces.append((row * width + column, piece, area))
+    return pieces
 
 
 def _clipped(outline: list[Point], axis: int, at: float, side: float) -> list[Point]:
     """The part of a convex outline where side x (coordinate - at) >= 0."""
-    found: list[Point] = []
-    for one, two in zip(outline, outline[1:] + outline[:1], strict=True):
-        here, there = side * (one[axis] - at), side * (two[axis] - at)
+    corners: list[Point] = []
+    for a, b in zip(outline, outline[1:] + outline[:1], strict=True):
+        here, there = side * (a[axis] - at), side * (b[axis] - at)
         if here >= 0.0:
-            found.append(one)
+            corners.append(a)
         if (here >= 0.0) != (there >= 0.0):
             share = here / (here - there)
-            found.append((one[0] + (two[0] - one[0]) * share, one[1] + (two[1] - one[1]) * share))
-    return found
+            corners.append((a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share))
+    return corners
 
 
 def _area(piece: tuple[Point, Point, Point]) -> float:

@@ -7,6 +7,7 @@ reservoir: Chao (1982).
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
@@ -20,16 +21,32 @@ if TYPE_CHECKING:
     from synfog_usd.render.sampling.sobol import Sobol
 
 
-class Reservoir:
-    """The candidate that is kept so far, for each lane.
+@dataclass
+class Candidate:
+    """Light of a lamp, for each lane.
 
     Attributes:
         place: where the light arrives [m].
         lamp: where it comes from [m].
-        value: what is estimated, of the candidate that is kept.
+        value: what is estimated.
         group: its light group.
-        target: its target; 0 while nothing is kept.
-        pdf: that `update` got with it; 0 while nothing is kept.
+        target: how much it would matter.
+        pdf: kept beside it.
+    """
+
+    place: Point3f
+    lamp: Point3f
+    value: Color3f
+    group: Float
+    target: Float
+    pdf: Float | float = 0.0
+
+
+class Reservoir:
+    """The candidate that is kept so far, for each lane; all of it is 0 while there is none.
+
+    Attributes:
+        place, lamp, value, group, target, pdf: of the candidate.
         sum: of the weights of all candidates so far.
     """
 
@@ -49,30 +66,15 @@ class Reservoir:
         self.place, self.lamp, self.value = mi.Point3f(0.0), mi.Point3f(0.0), mi.Color3f(0.0)
         self.target, self.sum, self.group, self.pdf = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
 
-    def update(
-        self,
-        place: Point3f,
-        lamp: Point3f,
-        value: Color3f,
-        group: Float,
-        target: Float,
-        density: Float,
-        sampler: Sobol,
-        active: Bool,
-        pdf: Float | float = 0.0,
-    ) -> Reservoir:
-        """The reservoir after one more candidate, which was drawn with `density`; `pdf` is kept beside it."""
+    def update(self, candidate: Candidate, density: Float, sampler: Sobol, active: Bool) -> Reservoir:
+        """The reservoir after one more candidate, which was drawn with `density`."""
+        target = candidate.target
         weight = dr.select(active & (density > 0.0) & (target > 0.0), target / density, 0.0)
         after = Reservoir()
         after.sum = self.sum + weight
         replaces = sampler.next_1d(active) * after.sum < weight
-        after.place, after.lamp, after.value = (
-            dr.select(replaces, place, self.place),
-            dr.select(replaces, lamp, self.lamp),
-            dr.select(replaces, value, self.value),
-        )
-        after.target, after.group = dr.select(replaces, target, self.target), dr.select(replaces, group, self.group)
-        after.pdf = dr.select(replaces, pdf, self.pdf)
+        for field in fields(candidate):
+            setattr(after, field.name, dr.select(replaces, getattr(candidate, field.name), getattr(self, field.name)))
         return after
 
     def estimate(self) -> Color3f:
