@@ -51,7 +51,6 @@ if TYPE_CHECKING:
         Point3f,
         Properties,
         SurfaceInteraction3f,
-        Texture,
         TraversalCallback,
         Vector2f,
         Vector3f,
@@ -318,33 +317,45 @@ def stand_in(part: Mapping[str, Any]) -> dict[str, Any]:
     return principled | {"type": "principled"}
 
 
-def _plugin(mi: ModuleType) -> type[BSDF]:
+class _Inputs:
+    """Textures of a surface, and the numbers of all surfaces that are drawn as one with it; None for what it lacks."""
 
-    @functools.lru_cache(maxsize=64)
-    def table(eta: float) -> Float:
-        albedo = backend.floats(albedo_of(eta).ravel())
-        dr.make_opaque(albedo)
-        return albedo
+    def __init__(self, properties: Properties) -> None:
+        mi = backend.mitsuba()
+
+        def texture(name: str) -> Any:
+            return properties.get_texture(name) if name in properties else None
+
+        self.base_color, self.roughness = texture("base_color"), texture("roughness")
+        self.metallic, self.specular = texture("metallic"), texture("specular")
+        self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
+        arrays: Sequence[Any] = [
+            properties.get(name, None) for name in ("rows", "row_of_face", "begin_of_row", "texels")
+        ]
+        self.rows, self.row_of_face, self.begin_of_row, self.texels = arrays
+        eta: Any = properties.get("eta", 1.5)
+        self.eta, self.table = dr.opaque(mi.Float, float(eta)), _albedo_table(mi.variant(), float(eta))
+
+
+@functools.lru_cache(maxsize=64)
+def _albedo_table(variant: str, eta: float) -> Float:
+    """`albedo_of` an index in the memory of a variant."""
+    albedo = backend.floats(albedo_of(eta).ravel())
+    dr.make_opaque(albedo)
+    return albedo
+
+
+def _plugin(mi: ModuleType) -> type[BSDF]:
 
     class PreviewSurface(mi.BSDF):  # type: ignore[misc, name-defined]
         """See the head of this file."""
 
         def __init__(self, properties: Properties) -> None:
             mi.BSDF.__init__(self, properties)
-
-            def texture(name: str) -> Texture | None:
-                return properties.get_texture(name) if name in properties else None
-
-            self.base_color, self.roughness = properties.get_texture("base_color"), texture("roughness")
-            self.metallic, self.specular = texture("metallic"), texture("specular")
-            self.coat, self.coat_roughness = texture("clearcoat"), texture("clearcoat_roughness")
-            self.rows, self.row_of_face = properties.get("rows", None), properties.get("row_of_face", None)
-            self.begin_of_row, self.texels = properties.get("begin_of_row", None), properties.get("texels", None)
-            eta = float(properties.get("eta", 1.5))
-            self.eta, self.table = dr.opaque(mi.Float, eta), table(eta)
+            self.inputs = _Inputs(properties)
             sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
             self.m_components = [mi.BSDFFlags.DiffuseReflection | sides]
-            if self.roughness is not None:
+            if self.inputs.roughness is not None:
                 self.m_components.append(mi.BSDFFlags.GlossyReflection | sides)
             self.m_flags = functools.reduce(operator.or_, self.m_components)
 
@@ -356,18 +367,18 @@ def _plugin(mi: ModuleType) -> type[BSDF]:
             sample2: Point2f,
             active: Bool | bool = True,
         ) -> tuple[BSDFSample3f, Color3f]:
-            return self._sampled(_Response(self, si, active), si, sample1, sample2, active)
+            return self._sampled(_Response(self.inputs, si, active), si, sample1, sample2, active)
 
         def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-            return _Response(self, si, active).reflected(wo, active)[0]
+            return _Response(self.inputs, si, active).reflected(wo, active)[0]
 
         def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-            return _Response(self, si, active).reflected(wo, active)[1]
+            return _Response(self.inputs, si, active).reflected(wo, active)[1]
 
         def eval_pdf(
             self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
         ) -> tuple[Color3f, Float]:
-            return _Response(self, si, active).reflected(wo, active)
+            return _Response(self.inputs, si, active).reflected(wo, active)
 
         def eval_pdf_sample(
             self,
@@ -378,11 +389,11 @@ def _plugin(mi: ModuleType) -> type[BSDF]:
             sample2: Point2f,
             active: Bool | bool = True,
         ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-            parts = _Response(self, si, active)
+            parts = _Response(self.inputs, si, active)
             return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
 
         def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-            return _inputs(self, si, active)[0]
+            return _values(self.inputs, si, active)[0]
 
         def _sampled(
             self, parts: _Response, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool
@@ -398,34 +409,34 @@ def _plugin(mi: ModuleType) -> type[BSDF]:
 
         def traverse(self, callback: TraversalCallback) -> None:
             for name in ("base_color", "roughness", "metallic", "coat", "coat_roughness", "specular"):
-                if getattr(self, name) is not None:
-                    callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
+                if getattr(self.inputs, name) is not None:
+                    callback.put(name, getattr(self.inputs, name), mi.ParamFlags.Differentiable)
 
         def to_string(self) -> str:
-            return f"PreviewSurface[{self.base_color}]"
+            return f"PreviewSurface[{self.inputs.base_color}]"
 
     return PreviewSurface
 
 
-def _inputs(bsdf: BSDF, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Any, ...]:
+def _values(inputs: _Inputs, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Any, ...]:
     """Colour, roughness, metal, coat and its roughness at a point; those that are not there mean nothing."""
     mi = backend.mitsuba()
-    if bsdf.rows is not None:
-        row = dr.gather(mi.UInt32, bsdf.row_of_face, si.prim_index, active)
-        low, high = (dr.gather(mi.Vector4f, bsdf.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
+    if inputs.rows is not None:
+        row = dr.gather(mi.UInt32, inputs.row_of_face, si.prim_index, active)
+        low, high = (dr.gather(mi.Vector4f, inputs.rows, row * (_ROW // 4) + half, active) for half in (0, 1))
         colour = mi.Color3f(low.x, low.y, low.z)
-        if bsdf.texels is not None:
-            begin = dr.gather(mi.UInt32, bsdf.begin_of_row, row, active)
-            colour = _pictured(bsdf.texels, si.uv, begin, mi.Vector2f(low.x, low.y), active)
+        if inputs.texels is not None:
+            begin = dr.gather(mi.UInt32, inputs.begin_of_row, row, active)
+            colour = _pictured(inputs.texels, si.uv, begin, mi.Vector2f(low.x, low.y), active)
         return colour, low.w, high.x, high.y, high.z
-    textures = bsdf.roughness, bsdf.metallic, bsdf.coat, bsdf.coat_roughness
-    return bsdf.base_color.eval(si, active), *(texture and texture.eval_1(si, active) for texture in textures)
+    textures = inputs.roughness, inputs.metallic, inputs.coat, inputs.coat_roughness
+    return inputs.base_color.eval(si, active), *(texture and texture.eval_1(si, active) for texture in textures)
 
 
 def _pictured(texels: UInt32, uv: Point2f, begin: UInt32, size: Vector2f, active: Bool | bool) -> Color3f:
     """Colour of a picture that begins at a texel, repeats, and is linear between the middles of its texels."""
     mi = backend.mitsuba()
-    place = (uv - dr.floor(uv)) * size - 0.5
+    place = mi.Vector2f(uv - dr.floor(uv)) * size - 0.5
     low = dr.floor(place)
     share, high = place - low, low + 1.0
     last, width = mi.Vector2u(size - 1.0), mi.UInt32(size.x)
@@ -446,34 +457,34 @@ class _Response:
     `seen_from` and `lit_from` have them, that reflect as much in all as they would else.
     """
 
-    def __init__(self, bsdf: BSDF, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+    def __init__(self, inputs: _Inputs, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         mi = backend.mitsuba()
-        normal = si.to_local(si.n)
+        normal = si.to_local(mi.Vector3f(si.n))
         self.below = dr.dot(si.wi, normal) * normal.z < 0.0
         self.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-        self.base, roughness, metal, coat, coat_roughness = _inputs(bsdf, si, active)
-        self.matt = bsdf.roughness is None
+        self.base, roughness, metal, coat, coat_roughness = _values(inputs, si, active)
+        self.matt = inputs.roughness is None
         if self.matt:
             return
-        self.eta, self.table = bsdf.eta, bsdf.table
+        self.eta, self.table = inputs.eta, inputs.table
         self.blur = si.duv_dx.x
         self.alpha, albedo, self.kept = self.lobe(roughness)
         self.specular, reflects = None, mi.Color3f(albedo.z)
-        if bsdf.specular is not None:
-            self.specular = mi.Color3f(bsdf.specular.eval(si, active))
+        if inputs.specular is not None:
+            self.specular = mi.Color3f(inputs.specular.eval(si, active))
             reflects = self.specular * albedo.x + albedo.y
         self.matte, self.gloss, self.metal, self.coat = 1.0 - reflects, mi.Float(1.0), None, None
-        lobes = reflects.x if bsdf.specular is None else backend.channel_mean(reflects)
+        lobes = reflects.x if inputs.specular is None else backend.channel_mean(reflects)
         for_lamps = si.duv_dy.x  # 1 where `for_lamps` was here, 0 elsewhere
         under = (1.0 - lobes) * MATTE * (1.0 - for_lamps)
-        if bsdf.metallic is not None:
+        if inputs.metallic is not None:
             self.metal = metal
             self.gloss = 1.0 - self.metal
             self.matte *= self.gloss
             lobes = lobes * self.gloss + self.metal * (albedo.x + albedo.y)
             under *= self.gloss
         self.chance_matte = under / dr.maximum(under + lobes, 1e-8)
-        if bsdf.coat is not None:
+        if inputs.coat is not None:
             self.coat = coat
             self.coat_alpha, coated, self.coat_kept = self.lobe(coat_roughness)
             reflected = self.coat * coated.z
@@ -499,10 +510,8 @@ class _Response:
         y = dr.clip(roughness, 0.0, 1.0) * (NODES - 1)
         row, column = dr.minimum(mi.UInt32(x), NODES - 2), dr.minimum(mi.UInt32(y), NODES - 2)
         begin, x, y = row * NODES + column, x - mi.Float(row), y - mi.Float(column)
-        near, next_ = (
-            dr.lerp(*(dr.gather(mi.Vector4f, self.table, begin + n + m) for m in (0, 1)), y) for n in (0, NODES)
-        )
-        return dr.lerp(near, next_, x)
+        corners = [dr.gather(mi.Vector4f, self.table, begin + step) for step in (0, 1, NODES, NODES + 1)]
+        return dr.lerp(dr.lerp(corners[0], corners[1], y), dr.lerp(corners[2], corners[3], y), x)
 
     def reflected(self, wo: Vector3f, active: Bool | bool) -> tuple[Color3f, Float]:
         """Value of the BSDF times the cosine, and the density with which `direction` draws it."""

@@ -122,7 +122,7 @@ def test_surfaces_that_are_drawn_together_answer_as_each_does_by_itself(mi, name
     others = [part | {"base_color": rgb(0.2 * n, 0.5, 0.1)} for n in range(3)]
     if "roughness" in part:
         others = [one | {"roughness": 0.3 + 0.2 * n} for n, one in enumerate(others)]
-    assert len({surface.alike(one) for one in others}) == 1
+    assert len({surface.kind_of(one) for one in others}) == 1
     number = np.array([2, 0, 1])
     both = make_bsdf(surface.together(others, number))
     si = seen_from(0.6, len(number))
@@ -159,7 +159,7 @@ def pictures():
 def test_surfaces_with_pictures_that_are_drawn_together_show_each_its_own(mi, name):
     """Colours all over them and round their borders are those of Mitsuba's textures, to a thousandth or 1e-4."""
     surfaces = [{"type": surface.TYPE, **PARTS[name], "base_color": picture} for picture in pictures()]
-    assert len({surface.alike(one) for one in surfaces}) == 1 and surface.alike(surfaces[0]) is not None
+    assert len({surface.kind_of(one) for one in surfaces}) == 1 and surface.kind_of(surfaces[0]) is not None
     count, kinds = 4000, len(surfaces)
     number = np.arange(count) % kinds
     both, own = make_bsdf(surface.together(surfaces, number)), [make_bsdf(one) for one in surfaces]

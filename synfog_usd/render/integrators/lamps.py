@@ -14,6 +14,7 @@ from synfog_usd.render.integrators.next_event import mis_weight
 from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.sobol import Sobol
+from synfog_usd.render.spectra.bands import is_finite
 from synfog_usd.render.surface import for_lamps, lit_from
 
 if TYPE_CHECKING:
@@ -40,13 +41,13 @@ def trace_lamps(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, coun
     while number < paths:
         sampler = Sobol(image_seed, pixel, first + number)
         ray, weight = of.eye.ray(sampler, corner, mi.Bool(True))
-        si = of.loaded.tree.ray_intersect_preliminary(ray, False)
+        si = of.loaded.tree.ray_intersect_preliminary(ray, mi.Bool(False))
         near, far = of.medium.intersect(ray.o, ray.d)
         stop = dr.minimum(dr.select(si.is_valid(), si.t, dr.inf), far)
         lit = stop > near
         picks = asks.picks_along(ray, near, stop, sampler, lit)
         light, group = asks.along(ray, near, stop, bands.even(weight), sampler, lit, picks)
-        finite = dr.all(dr.isfinite(light))
+        finite = is_finite(light)
         light = dr.select(finite, light, 0.0)
         single += light
         sums = of.light_groups.add(sums, light, group)
@@ -62,6 +63,7 @@ def trace_direct(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, cou
     paths, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
     total, lost = bands.black(), mi.UInt32(0)
     sums = of.light_groups.empty()
+    assert asks.visible is not None
     begin, end = asks.visible.pieces(pixel)
     number = dr.select(begin < end, mi.UInt32(0), paths)
     sampler, piece = Sobol(image_seed, pixel, first), mi.UInt32(begin)
@@ -79,7 +81,7 @@ def trace_direct(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, cou
             if dr.hint(bands.coloured, mode="scalar"):
                 light *= bands.fade(tau)
         light = dr.select(hit, light, bands.black())
-        finite = dr.all(dr.isfinite(light))
+        finite = is_finite(light)
         light = dr.select(finite, light, bands.black())
         lost += dr.select(finite, mi.UInt32(0), mi.UInt32(1))
         total += light
@@ -107,7 +109,7 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
     while number < paths:
         sampler, path = Sobol(image_seed, pixel, first + number), bands.black()
         ray, view_weight = of.eye.ray(sampler, corner, mi.Bool(True))
-        si = tree.ray_intersect(ray, mi.RayFlags.All, True, mi.Bool(True))
+        si = tree.ray_intersect(ray, mi.RayFlags.All, mi.Bool(True), mi.Bool(True))
         hit, throughput = si.is_valid(), bands.even(view_weight)
         if dr.hint(of.foggy, mode="scalar"):
             tau = of.medium.optical_depth(ray.o, ray.d, 0.0, dr.select(hit, si.t, 0.0))
@@ -127,7 +129,7 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
         gloss = Gloss.of(si, reflected, pdf, smooth)
         picks = asks.picks_at(si.p, gloss, sampler, smooth)
         lamp, colour, group, lamp_pdf = asks.lights.at(si.p, gloss, sampler, smooth, picks)
-        towards, shines = dr.normalize(lamp - si.p), smooth & (dr.max(colour) > 0.0)
+        towards, shines = mi.Vector3f(dr.normalize(lamp - si.p)), smooth & (dr.max(colour) > 0.0)
         alone = (lamp_pdf <= 0.0) | mi.Bool(asks.lit_faces is None)
         reflected, pdf = bsdf.eval_pdf(context, lit_from(si, lamp, alone, mi.Float(0.0)), si.to_local(towards), shines)
         weight = dr.select(alone | (pdf < LEAST_SHARP), 1.0, mis_weight(lamp_pdf, pdf))
@@ -138,15 +140,17 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
 
         # ---- A lit face that a lobe's direction meets
         if dr.hint(asks.lit_faces is not None, mode="scalar"):
+            assert asks.lit_faces is not None
             onward = throughput * bands.reflectance(gain, reading)
             no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
             way = si.spawn_ray(si.to_world(bounce.wo))
             going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
             last, through = way, mi.Float(1.0)
             if dr.hint(asks.panes is not None, mode="scalar"):
+                assert asks.panes is not None
                 stopped, surface, last, through = asks.panes.beyond(tree, way, going)
             else:
-                surface = tree.ray_intersect_preliminary(way, False, going)
+                surface = tree.ray_intersect_preliminary(way, mi.Bool(False), going)
                 stopped = going & surface.is_valid()
             emitter = surface.shape.emitter()
             area_pdf, of_lamp = asks.lit_faces.of_emitter(emitter, stopped)
@@ -163,6 +167,6 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
                     light *= bands.fade(tau)
             light = dr.select(on_lamp, light, black)
             path, aovs, sums = of.light_groups.add_to_path(path, aovs, sums, light, once, group)
-        lost += dr.select(dr.all(dr.isfinite(path)), mi.UInt32(0), mi.UInt32(1))
+        lost += dr.select(is_finite(path), mi.UInt32(0), mi.UInt32(1))
         number += 1
     return Moments(tuple(aovs), tuple(sums), lost)

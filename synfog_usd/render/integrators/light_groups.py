@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from synfog_usd.render import backend
-from synfog_usd.render.spectra.bands import Bands
+from synfog_usd.render.spectra.bands import Bands, is_finite
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, UInt32
@@ -69,7 +69,7 @@ class LightGroups:
         """Add light to a path, its AOV and its group; light that is not finite is left out of both and spoils the
         path, which counts it.
         """
-        finite = dr.all(dr.isfinite(light))
+        finite = is_finite(light)
         clean = dr.select(finite, light, 0.0)
         path = path + dr.select(finite, light, dr.nan)
         if len(aovs) == 1:

@@ -29,7 +29,17 @@ from synfog_usd.render.surface import lit_from
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
-    from mitsuba import BSDFPtr, Color3f, Interaction3f, Normal3f, Point3f, Ray3f, SurfaceInteraction3f, Vector3f
+    from mitsuba import (
+        BSDFPtr,
+        Color3f,
+        Interaction3f,
+        Normal3f,
+        Point3f,
+        Ray3f,
+        Spectrum,
+        SurfaceInteraction3f,
+        Vector3f,
+    )
 
     from synfog_usd.render.sampling.sobol import Sobol
     from synfog_usd.render.spectra.bands import SampledSpectrum
@@ -61,7 +71,7 @@ class Chosen:
     exists: Bool
     place: Point3f
     direction: Vector3f
-    power: Color3f
+    power: Color3f | Spectrum
     group: UInt32
     pdf: Float
     alone: Bool
@@ -203,12 +213,13 @@ class NextEvent:
         """The sky where it has a table, of which this is the `row`; else a light by the scene's own choice."""
         mi = backend.mitsuba()
         lit = smooth | medium_scattered if self.in_fog else mi.Bool(smooth)
+        power: Color3f | Spectrum = mi.Color3f(0.0)
         if self.sky is not None:
             direction, pdf = self.sky.draw(row, sampler.next_2d(lit))
             power = self.sky.radiance(direction, lit) / dr.maximum(pdf, 1e-30)
             place = mi.Point3f(vertex.p) + direction * SKY_M
             return Chosen(lit & (pdf > 0.0), place, direction, power, self.sky_group, pdf, mi.Bool(False))
-        sent, power, group = dr.zeros(mi.DirectionSample3f), mi.Color3f(0.0), mi.UInt32(0)
+        sent, group = dr.zeros(mi.DirectionSample3f), mi.UInt32(0)
         if self.at_surfaces:
             sent, power = self.loaded.scene.sample_emitter_direction(vertex, sampler.next_2d(lit), False, lit)
             group = self.groups.of(sent.emitter, lit)

@@ -62,6 +62,7 @@ from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.sampling.sobol import Sobol
+from synfog_usd.render.spectra.bands import is_finite
 from synfog_usd.render.surface import MOST_SPREAD, blur, lit_from, seen_from
 
 if TYPE_CHECKING:
@@ -367,9 +368,11 @@ class FogPath:
             throughput = dr.select(surface_hit, throughput * gain, throughput)
             passed = mi.Bool(False)  # a pane, as shadow rays do: the vertex before it chose the direction
             if dr.hint(asks.panes is not None, mode="scalar"):
+                assert asks.panes is not None
                 straight = surface_hit & mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Null)
                 passed = asks.panes.share(si.shape, straight) > 0.0
             if dr.hint(asks.lit_faces is not None, mode="scalar"):
+                assert picks is not None
                 prev_gloss = prev_gloss.where(passed, gloss)
                 prev_weighed = dr.select(passed, prev_weighed, dr.select(lit, picks.total, 0.0))
             next_without_nee = mi.Bool(False)
@@ -398,7 +401,7 @@ class FogPath:
 
             # ==== 12. The lane's next path where this one has ended, of its next task where this one has all of them
             over = active & ~alive
-            finite = dr.all(dr.isfinite(path))
+            finite = is_finite(path)
             lost += dr.select(over & ~finite, mi.UInt32(1), mi.UInt32(0))
             number += dr.select(over, mi.UInt32(1), mi.UInt32(0))
             done = over & (number >= paths)

@@ -7,7 +7,7 @@ Source: Mitsuba 3, src/integrators/volpath.cpp and volpathmis.cpp.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -84,7 +84,7 @@ def _side_by_side(
     )
     if camera.moves:
         ray = moved(ray, camera, place.y, sampler.next_1d())
-    radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, True)
+    radiance, _, _ = integrator.sample(loaded.scene, sampler, ray, loaded.camera_medium, mi.Bool(True))
     radiance = mi.Color3f(radiance * weight)
     finite = dr.all(dr.isfinite(radiance))
     radiance = dr.select(finite, radiance, 0.0)
@@ -92,7 +92,7 @@ def _side_by_side(
     squared = [dr.block_sum(channel * channel, count) for channel in radiance]
     lost = dr.count(~finite)
     dr.eval(summed, squared, lost)
-    return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(lost[0])
+    return np.array(summed, dtype=np.float64).T, np.array(squared, dtype=np.float64).T, int(np.array(lost)[0])
 
 
 def _accumulate_scalar(
@@ -110,7 +110,7 @@ def _accumulate_scalar(
             f"{loaded.source.camera.path}: Mitsuba's own models draw no fisheye with its scalar backend; "
             f"use --model path"
         )
-    sensor = (
+    sensor: Any = (
         loaded.sensor
         if loaded.offset == (0.0, 0.0)
         else make_sensor(loaded.source.camera, loaded.camera_medium, pinhole=True)
@@ -119,9 +119,8 @@ def _accumulate_scalar(
     counts = [samples // passes + (index < samples % passes) for index in range(passes)]
     images, broken = [], 0
     for index, count in enumerate(counts):
-        image = np.array(integrator.render(loaded.scene, sensor, seed32(seed, "pass", index), count), dtype=np.float64)[
-            :, :, :3
-        ]
+        pass_seed = backend.mitsuba().UInt32(seed32(seed, "pass", index))
+        image = np.array(integrator.render(loaded.scene, sensor, pass_seed, count), dtype=np.float64)[:, :, :3]
         broken += int(np.count_nonzero(~np.isfinite(image).all(axis=2)))
         images.append(np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).reshape(-1, 3))
         progress("rendering", (index + 1) / passes)

@@ -106,7 +106,7 @@ class Importance:
     def along(self, index: UInt32, origin: Point3f, direction: Vector3f, begin: Float, end: Float) -> Float:
         """Weight of a light for a stretch of a ray, begin to end [m]."""
         light, peak, axis, table, x = self._row(index)
-        nearest = dr.dot(light - origin, direction)
+        nearest = dr.dot(backend.mitsuba().Vector3f(light - origin), direction)
         foot = origin + direction * nearest - light
         square = dr.maximum(dr.squared_norm(foot), 1e-6)
         inverse = dr.rsqrt(square)
@@ -131,7 +131,7 @@ class Importance:
         it.
         """
         light, peak, axis, table, x = self._row(index)
-        between = place - light
+        between = backend.mitsuba().Vector3f(place - light)
         true = dr.maximum(dr.squared_norm(between), 1e-8)
         square, floored = dr.maximum(true, NEAR_M**2), dr.maximum(true, FLOOR_M**2)
         away = between * dr.rsqrt(true)
@@ -148,7 +148,7 @@ class Importance:
         )
         while active & (index < self.count):
             for number, there in self.abreast(index):
-                picks = picks.update(number, dr.select(there, dr.maximum(weigh(number), 0.0), 0.0))
+                picks = picks.update(number, mi.Float(dr.select(there, dr.maximum(weigh(number), 0.0), 0.0)))
             index += ABREAST
         return picks
 
@@ -176,7 +176,7 @@ class Importance:
         scale = dr.rcp(dr.abs(u) + dr.abs(v) + dr.abs(z))
         u, v = u * scale, v * scale
         folded_u, folded_v = dr.copysign(1.0 - dr.abs(v), u), dr.copysign(1.0 - dr.abs(u), v)
-        u, v = dr.select(z < 0.0, folded_u, u), dr.select(z < 0.0, folded_v, v)
+        u, v = mi.Float(dr.select(z < 0.0, folded_u, u)), mi.Float(dr.select(z < 0.0, folded_v, v))
         column, row = (dr.clip(mi.UInt32(dr.maximum((w * 0.5 + 0.5) * SIDE, 0.0)), 0, SIDE - 1) for w in (u, v))
         return dr.gather(mi.Float, self.tables, begin + row * SIDE + column)
 

@@ -79,21 +79,21 @@ class Panes:
             panes before let through, 0 where they are too many.
         """
         mi = backend.mitsuba()
-        ray, through = mi.Ray3f(ray), dr.select(active, mi.Float(1.0), 0.0)
+        onward, through = mi.Ray3f(ray), dr.select(active, mi.Float(1.0), 0.0)
         hit, passed = dr.zeros(mi.PreliminaryIntersection3f), mi.UInt32(0)
         blocked, going = mi.Bool(False), mi.Bool(active)
         while going:
-            hit = tree.ray_intersect_preliminary(ray, False, going)
+            hit = tree.ray_intersect_preliminary(onward, mi.Bool(False), going)
             valid = going & hit.is_valid()
             share = self.share(hit.shape, valid)
             blocked, pane = valid & (share == 0.0), share > 0.0
             passed += 1
             through = dr.select(pane, dr.select(passed > MOST_PASSED, 0.0, through * share), through)
-            step = hit.t + PAST * dr.maximum(dr.max(dr.abs(ray.o)), 1.0)
-            ray.o = dr.select(pane, ray.o + ray.d * step, ray.o)
-            ray.maxt = dr.select(pane, ray.maxt - step, ray.maxt)
-            going = pane & (ray.maxt > 0.0) & (through > 0.0)
-        return blocked, hit, ray, through
+            step = hit.t + PAST * dr.maximum(dr.max(dr.abs(onward.o)), 1.0)
+            onward.o = dr.select(pane, onward.o + onward.d * step, onward.o)
+            onward.maxt = dr.select(pane, onward.maxt - step, onward.maxt)
+            going = pane & (onward.maxt > 0.0) & (through > 0.0)
+        return blocked, hit, onward, through
 
 
 def _share(world: Mapping[str, Any], bsdf: Mapping[str, Any] | None) -> float:

@@ -116,7 +116,7 @@ def _cell(
 def _plugin(mi: ModuleType) -> type:
     """Mitsuba's side; its base class exists only once a variant is chosen."""
 
-    class Photometric(mi.Emitter):  # type: ignore[misc]
+    class Photometric(mi.Emitter):  # type: ignore[misc, name-defined]
         def __init__(self, properties: Properties) -> None:
             super().__init__(properties)
             table = np.array(properties["bitmap"], dtype=np.float64)
@@ -129,7 +129,8 @@ def _plugin(mi: ModuleType) -> type:
             self.channels, self.shape = table.shape[2], table.shape[:2]
             if not self.scalar:
                 dr.make_opaque(self.colour)
-            self.stand(np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4))
+            to_world: Any = properties["to_world"]
+            self.stand(np.array(to_world.matrix, dtype=np.float64).reshape(4, 4))
             self.m_flags = mi.EmitterFlags.DeltaPosition
             self.m_needs_sample_2 = False
 
@@ -142,7 +143,9 @@ def _plugin(mi: ModuleType) -> type:
         def factor(self, direction: Vector3f, active: Bool | bool) -> Color3f:
             local = mi.Vector3f(*(dr.dot(axis, direction) for axis in self.axes))
             if self.kernel is not None:
-                factors = [self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)]
+                factors: list[Float] | list[float] = [
+                    self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)
+                ]
             else:
                 row, column, y, x = _cell(mi, local, self.shape[0], self.shape[1])
                 weights = np.outer([1.0 - y, y], [1.0 - x, x])

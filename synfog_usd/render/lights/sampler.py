@@ -107,7 +107,7 @@ class LightSampler:
         row = self.columns.at(index, active)
         u = sampler.next_2d(active)
         root = dr.sqrt(u.x)
-        position = row.position + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
+        position = mi.Point3f(row.position) + row.edge_u * (1.0 - root) + row.edge_v * (u.y * root)
         return position, row, probability
 
     def _pick(self, number: UInt32, sampler: Sobol, active: Bool, picks: Picks | None) -> tuple[UInt32, Float]:
@@ -158,7 +158,7 @@ class LightSampler:
         reservoir, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
             lamp, row, probability = self._candidate(index, sampler, active, picks)
-            nearest = dr.dot(lamp - origin, direction)
+            nearest = dr.dot(mi.Vector3f(lamp - origin), direction)
             height = dr.maximum(dr.norm(lamp - (origin + direction * nearest)), 1e-4)
             # the angle by which light must turn grows along the ray from 0 to pi
             low, high = (0.5 * dr.pi + dr.atan((edge - nearest) / height) for edge in (begin, end))
@@ -175,7 +175,7 @@ class LightSampler:
                 peaked = _peak_density(turn, self.width) / dr.maximum(high_share - low_share, 1e-12)
                 density = (even + peaked) * height / (height * height + step * step)
                 place = origin + direction * distance
-                between = place - lamp
+                between = mi.Vector3f(place - lamp)
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
@@ -212,7 +212,7 @@ class LightSampler:
         reservoir, index = Reservoir(), mi.UInt32(0)
         while active & (index < self.asked):
             lamp, row, probability = self._candidate(index, sampler, active, picks)
-            between = place - lamp
+            between = mi.Vector3f(place - lamp)
             square = dr.maximum(dr.squared_norm(between), 1e-8)
             towards = between * dr.rsqrt(square)
             value = row.colour * (self.sent(row, towards) / square)

@@ -20,7 +20,7 @@ from synfog_usd.render.load import MitsubaScene
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
-    from mitsuba import Color3f, Emitter, Normal3f, Point2f, Vector3f
+    from mitsuba import Emitter, Normal3f, Point2f, Spectrum, Vector3f
 
 STEPS = 16
 """Cells by the height z of a direction, and by its azimuth; a power of 2."""
@@ -81,11 +81,12 @@ class SkyTable:
         """Density [1/sr] with which `draw` has a direction."""
         return self._density(row, *_cell(direction))
 
-    def radiance(self, direction: Vector3f, active: Bool | bool = True) -> Color3f:
+    def radiance(self, direction: Vector3f, active: Bool | bool = True) -> Spectrum:
         """Radiance [cd m-2] of the sky in a direction."""
-        si = dr.zeros(backend.mitsuba().SurfaceInteraction3f)
+        mi = backend.mitsuba()
+        si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = -direction
-        return self.environment.eval(si, active)
+        return self.environment.eval(si, mi.Bool(active))
 
     def _density(self, row: UInt32, height: UInt32, azimuth: UInt32) -> Float:
         mi = backend.mitsuba()
@@ -93,7 +94,7 @@ class SkyTable:
         return chance * (STEPS * STEPS / (4.0 * np.pi))
 
 
-def _cell(direction: Vector3f) -> tuple[UInt32, UInt32]:
+def _cell(direction: Vector3f | Normal3f) -> tuple[UInt32, UInt32]:
     """Numbers of a direction's cell, by height and by azimuth."""
     mi = backend.mitsuba()
     turned = dr.atan2(direction.y, direction.x) * (0.5 / np.pi)

@@ -45,6 +45,11 @@ white's.
 """
 
 
+def is_finite(light: SampledSpectrum) -> Bool:
+    """Whether light is finite in all bands."""
+    return dr.all(dr.isfinite(light))  # type: ignore[arg-type] # Dr.Jit's stub takes no mask of several parts
+
+
 @lru_cache(maxsize=8)
 def matrices(count: int) -> tuple[Array, Array]:
     """How R, G and B become N bands: light in W m-2 sr-1 nm-1 per cd m-2, and reflectance; (3, N) each.
