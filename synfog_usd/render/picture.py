@@ -33,7 +33,7 @@ class Rendered:
     """What one shot gives.
 
     Attributes:
-        radiance: (H, W, C) with the variance of its mean; in [cd m-2], or of bands in [W m-2 sr-1 nm-1].
+        radiance: (H, W, C) with the variance of its mean, in cd m-2; of bands in W m-2 sr-1 nm-1.
         aovs: what the pixel-centre rays met.
         components: name -> (H, W, C) float32 radiance, of 'surface', 'airlight_single', 'airlight_multiple', and of
             'lamps_direct' where lamps are seen.  They add up to the radiance.  Noise takes them below 0 where they

@@ -8,9 +8,9 @@ Mitsuba's own `principled` has Disney's matte part, which glows where a rough su
      'metallic': 0 to 1, 'clearcoat': 0 to 1, 'clearcoat_roughness': 0 to 1}
 
 with numbers, or textures in their place; eta is a number, 1.5 where nothing is said.  A surface need not have more
-than the first two, and one that has no roughness is matt and mirrors nothing; a coat has both of its inputs.  With c
-the coat, m the metal, rho the base colour, G a GGX lobe of alpha = roughness^2, and E what the lobe reflects in all of
-a direction v:
+than the first two, and one that has no roughness is matt and mirrors nothing; a coat has both of its inputs.  Let c be
+the coat, m the metal and rho the base colour.  Let G be a GGX lobe of alpha = roughness^2, and E what it reflects in
+all of a direction v.  Then
 
     f = c G_coat + (1 - c E_coat(v)) (m rho G_metal + (1 - m) (G_dielectric + (1 - E_dielectric(v)) rho / pi))
 
@@ -20,9 +20,9 @@ rho at any angle.  So are the parts put together in MaterialX's definition of Us
 previewSurface.glslfx has 1 - F(v . h) for 1 - E(v), by which white surfaces give back more than they get.
 Both sides of a face look alike.
 
-Surfaces that have the same inputs, none of them a picture but the base colour, can be drawn as one, which reads its
-numbers and finds its picture by the face (`together`): Dr.Jit records a BSDF's code once for each object, runs it for
-each that 16 paths meet, and a street has a hundred surfaces of a few kinds.
+Surfaces that have the same inputs can be drawn as one (`together`), if only the base colour is a picture.  It reads its
+numbers and finds its picture by the face.  Dr.Jit records a BSDF's code once for each object and runs it for each that
+16 paths meet, and a street has a hundred surfaces of a few kinds.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Mapping, Sequence
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -43,7 +42,6 @@ from synfog_usd.scene import mean_colour, texels
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
     from mitsuba import (
-        BSDF,
         BSDFContext,
         BSDFSample3f,
         Color3f,
@@ -109,7 +107,7 @@ def register() -> None:
     mi = backend.mitsuba()
     if mi.variant() not in _known and not backend.is_scalar():
         _known.add(mi.variant())
-        bsdf = _plugin(mi)
+        bsdf = type("PreviewSurface", (_PreviewSurface, mi.BSDF), {})
         mi.register_bsdf(backend.plugin_name(TYPE), lambda properties: bsdf(properties))
 
 
@@ -345,77 +343,75 @@ def _albedo_table(variant: str, eta: float) -> Float:
     return albedo
 
 
-def _plugin(mi: ModuleType) -> type[BSDF]:
+class _PreviewSurface:
+    """The BSDF of the head of this file; `register` derives it from the variant's own."""
 
-    class PreviewSurface(mi.BSDF):  # type: ignore[misc, name-defined]
-        """See the head of this file."""
+    def __init__(self, properties: Properties) -> None:
+        mi = backend.mitsuba()
+        mi.BSDF.__init__(self, properties)
+        self.inputs = _Inputs(properties)
+        sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | sides]
+        if self.inputs.roughness is not None:
+            self.m_components.append(mi.BSDFFlags.GlossyReflection | sides)
+        self.m_flags = functools.reduce(operator.or_, self.m_components)
 
-        def __init__(self, properties: Properties) -> None:
-            mi.BSDF.__init__(self, properties)
-            self.inputs = _Inputs(properties)
-            sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-            self.m_components = [mi.BSDFFlags.DiffuseReflection | sides]
-            if self.inputs.roughness is not None:
-                self.m_components.append(mi.BSDFFlags.GlossyReflection | sides)
-            self.m_flags = functools.reduce(operator.or_, self.m_components)
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        return self._sampled(_Response(self.inputs, si, active), si, sample1, sample2, active)
 
-        def sample(
-            self,
-            ctx: BSDFContext,
-            si: SurfaceInteraction3f,
-            sample1: Float,
-            sample2: Point2f,
-            active: Bool | bool = True,
-        ) -> tuple[BSDFSample3f, Color3f]:
-            return self._sampled(_Response(self.inputs, si, active), si, sample1, sample2, active)
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return _Response(self.inputs, si, active).reflected(wo, active)[0]
 
-        def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-            return _Response(self.inputs, si, active).reflected(wo, active)[0]
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return _Response(self.inputs, si, active).reflected(wo, active)[1]
 
-        def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-            return _Response(self.inputs, si, active).reflected(wo, active)[1]
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        return _Response(self.inputs, si, active).reflected(wo, active)
 
-        def eval_pdf(
-            self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-        ) -> tuple[Color3f, Float]:
-            return _Response(self.inputs, si, active).reflected(wo, active)
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        parts = _Response(self.inputs, si, active)
+        return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
 
-        def eval_pdf_sample(
-            self,
-            ctx: BSDFContext,
-            si: SurfaceInteraction3f,
-            wo: Vector3f,
-            sample1: Float,
-            sample2: Point2f,
-            active: Bool | bool = True,
-        ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-            parts = _Response(self.inputs, si, active)
-            return *parts.reflected(wo, active), *self._sampled(parts, si, sample1, sample2, active)
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return _values(self.inputs, si, active)[0]
 
-        def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-            return _values(self.inputs, si, active)[0]
+    def _sampled(
+        self, parts: _Response, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool
+    ) -> tuple[BSDFSample3f, Color3f]:
+        mi = backend.mitsuba()
+        wo = parts.direction(sample1, sample2)
+        value, pdf = parts.reflected(wo, active)
+        sampled = dr.zeros(mi.BSDFSample3f)
+        sampled.wo, sampled.pdf, sampled.eta = wo, pdf, 1.0
+        sampled.sampled_type = mi.UInt32(+self.m_components[-1])
+        sampled.sampled_component = mi.UInt32(len(self.m_components) - 1)
+        good = active & (pdf > 0.0)
+        return sampled, dr.select(good, value / pdf, 0.0)
 
-        def _sampled(
-            self, parts: _Response, si: SurfaceInteraction3f, sample1: Float, sample2: Point2f, active: Bool | bool
-        ) -> tuple[BSDFSample3f, Color3f]:
-            wo = parts.direction(sample1, sample2)
-            value, pdf = parts.reflected(wo, active)
-            sampled = dr.zeros(mi.BSDFSample3f)
-            sampled.wo, sampled.pdf, sampled.eta = wo, pdf, 1.0
-            sampled.sampled_type = mi.UInt32(+self.m_components[-1])
-            sampled.sampled_component = mi.UInt32(len(self.m_components) - 1)
-            good = active & (pdf > 0.0)
-            return sampled, dr.select(good, value / pdf, 0.0)
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name in ("base_color", "roughness", "metallic", "coat", "coat_roughness", "specular"):
+            if getattr(self.inputs, name) is not None:
+                callback.put(name, getattr(self.inputs, name), backend.mitsuba().ParamFlags.Differentiable)
 
-        def traverse(self, callback: TraversalCallback) -> None:
-            for name in ("base_color", "roughness", "metallic", "coat", "coat_roughness", "specular"):
-                if getattr(self.inputs, name) is not None:
-                    callback.put(name, getattr(self.inputs, name), mi.ParamFlags.Differentiable)
-
-        def to_string(self) -> str:
-            return f"PreviewSurface[{self.inputs.base_color}]"
-
-    return PreviewSurface
+    def to_string(self) -> str:
+        return f"PreviewSurface[{self.inputs.base_color}]"
 
 
 def _values(inputs: _Inputs, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Any, ...]:

@@ -10,7 +10,7 @@ import drjit as dr
 
 from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import Moments
-from synfog_usd.render.integrators.next_event import mis_weight
+from synfog_usd.render.integrators.next_event import LEAST_SHARP, mis_weight
 from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.sobol import Sobol
@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 
     from synfog_usd.render.integrators.next_event import NextEvent
     from synfog_usd.render.integrators.path import FogPath
-
-LEAST_SHARP = 2.0
-"""Density [1/sr] of a first surface's direction below which no lamp is looked for along it: shadow rays find those as
-well.
-"""
 
 
 @dr.syntax
@@ -140,32 +135,8 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
 
         # ---- A lit face that a lobe's direction meets
         if dr.hint(asks.lit_faces is not None, mode="scalar"):
-            assert asks.lit_faces is not None
             onward = throughput * bands.reflectance(gain, reading)
-            no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
-            way = si.spawn_ray(si.to_world(bounce.wo))
-            going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
-            last, through = way, mi.Float(1.0)
-            if dr.hint(asks.panes is not None, mode="scalar"):
-                assert asks.panes is not None
-                stopped, surface, last, through = asks.panes.beyond(tree, way, going)
-            else:
-                surface = tree.ray_intersect_preliminary(way, mi.Bool(False), going)
-                stopped = going & surface.is_valid()
-            emitter = surface.shape.emitter()
-            area_pdf, of_lamp = asks.lit_faces.of_emitter(emitter, stopped)
-            on_lamp = area_pdf > 0.0
-            end = surface.compute_surface_interaction(last, mi.RayFlags.All, on_lamp)
-            lamp_pdf = asks.face_pdf(of_lamp, area_pdf, end, si.p, gloss, picks.total)
-            weight = dr.select(no_choice, 1.0, mis_weight(bounce.pdf, lamp_pdf))
-            group = of.light_groups.of(emitter, on_lamp)
-            light = onward * (weight * through) * of.light_groups.light(emitter.eval(end, on_lamp), group)
-            if dr.hint(of.foggy, mode="scalar"):
-                tau = of.medium.optical_depth(way.o, way.d, 0.0, dr.select(on_lamp, dr.norm(end.p - way.o), 0.0))
-                light *= transmittance(tau)[0]
-                if dr.hint(bands.coloured, mode="scalar"):
-                    light *= bands.fade(tau)
-            light = dr.select(on_lamp, light, black)
+            light, group = asks.face_on_lobe(si, bounce, onward, smooth, hit, gloss, picks.total)
             path, aovs, sums = of.light_groups.add_to_path(path, aovs, sums, light, once, group)
         lost += dr.select(is_finite(path), mi.UInt32(0), mi.UInt32(1))
         number += 1

@@ -24,13 +24,14 @@ from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.medium import Medium
+from synfog_usd.render.media.medium import Medium, transmittance
 from synfog_usd.render.surface import lit_from
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
     from mitsuba import (
         BSDFPtr,
+        BSDFSample3f,
         Color3f,
         Interaction3f,
         Normal3f,
@@ -53,6 +54,12 @@ only."""
 
 SKY_M = 1e6
 """How far away the sky is where a shadow ray asks for it: beyond all that a scene holds."""
+
+
+LEAST_SHARP = 2.0
+"""Density [1/sr] of a first surface's direction below which no lamp is looked for along it: shadow rays find those as
+well.
+"""
 
 
 @dataclass
@@ -310,6 +317,50 @@ class NextEvent:
             throughput * weight * self.groups.light(emitter.eval(si, unscattered), group),
             self.bands.black(),
         ), group
+
+    def face_on_lobe(
+        self,
+        si: SurfaceInteraction3f,
+        bounce: BSDFSample3f,
+        onward: SampledSpectrum,
+        smooth: Bool,
+        hit: Bool,
+        gloss: Gloss,
+        weighed: Float,
+    ) -> tuple[SampledSpectrum, UInt32]:
+        """Light of a lit face that a lobe's direction meets, by the power heuristic, and its group.
+
+        Args:
+            si, bounce: the surface, and the direction that its lobes draw.
+            onward: what the path leaves of light from there.
+            smooth, hit: whether it has other parts than mirrors, and whether it is there.
+            gloss, weighed: as in `face_pdf`.
+        """
+        mi, tree = backend.mitsuba(), self.loaded.tree
+        assert self.lit_faces is not None
+        no_choice = ~smooth | mi.has_flag(bounce.sampled_type, mi.BSDFFlags.Delta)
+        way = si.spawn_ray(si.to_world(bounce.wo))
+        going = hit & (dr.max(onward) > 0.0) & (no_choice | (bounce.pdf >= LEAST_SHARP))
+        last, through = way, mi.Float(1.0)
+        if self.panes is not None:
+            stopped, surface, last, through = self.panes.beyond(tree, way, going)
+        else:
+            surface = tree.ray_intersect_preliminary(way, mi.Bool(False), going)
+            stopped = going & surface.is_valid()
+        emitter = surface.shape.emitter()
+        area_pdf, of_lamp = self.lit_faces.of_emitter(emitter, stopped)
+        on_lamp = area_pdf > 0.0
+        end = surface.compute_surface_interaction(last, mi.RayFlags.All, on_lamp)
+        lamp_pdf = self.face_pdf(of_lamp, area_pdf, end, si.p, gloss, weighed)
+        weight = dr.select(no_choice, 1.0, mis_weight(bounce.pdf, lamp_pdf))
+        group = self.groups.of(emitter, on_lamp)
+        light = onward * (weight * through) * self.groups.light(emitter.eval(end, on_lamp), group)
+        if self.foggy:
+            tau = self.medium.optical_depth(way.o, way.d, 0.0, dr.select(on_lamp, dr.norm(end.p - way.o), 0.0))
+            light *= transmittance(tau)[0]
+            if self.bands.coloured:
+                light *= self.bands.fade(tau)
+        return dr.select(on_lamp, light, self.bands.black()), group
 
     def shadow_transmittance(
         self, place: Point3f, normal: Normal3f, light: Point3f, active: Bool

@@ -291,14 +291,14 @@ class Picks:
         after = Picks()
         after.total = self.total + weight
         share = weight / dr.maximum(after.total, 1e-30)
-        drawn = self.u < share
+        replaces = self.u < share
         after.u = dr.clip(
-            dr.select(drawn, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)),
+            dr.select(replaces, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)),
             0.0,
             0.9999999,
         )
-        after.number = dr.select(drawn, mi.Vector4u(index), self.number)
-        after.weight = dr.select(drawn, mi.Vector4f(weight), self.weight)
+        after.number = dr.select(replaces, mi.Vector4u(index), self.number)
+        after.weight = dr.select(replaces, mi.Vector4f(weight), self.weight)
         return after
 
     def at(self, which: UInt32) -> tuple[UInt32, Float]:

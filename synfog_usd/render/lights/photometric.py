@@ -15,7 +15,6 @@ Knows nothing of files; see `translate.ies`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -47,7 +46,7 @@ def register() -> None:
     mi = backend.mitsuba()
     if mi.variant() not in _known:
         _known.add(mi.variant())
-        emitter = _plugin(mi)
+        emitter = type("Photometric", (_Photometric, mi.Emitter), {})
         mi.register_emitter(backend.plugin_name(TYPE), lambda properties: emitter(properties))
 
 
@@ -90,7 +89,7 @@ class Tables:
         begin, rows, columns = (
             dr.gather(mi.UInt32, item, which, active) for item in (self.begin, self.rows, self.columns)
         )
-        row, column, y, x = _cell(mi, local, rows, columns)
+        row, column, y, x = _cell(local, rows, columns)
         at = begin + row * (columns + 1) + column
         low = dr.lerp(dr.gather(mi.Float, self.values, at, active), dr.gather(mi.Float, self.values, at + 1, active), x)
         high = dr.lerp(
@@ -101,10 +100,9 @@ class Tables:
         return dr.lerp(low, high, y)
 
 
-def _cell(
-    mi: ModuleType, local: Vector3f, rows: UInt32 | int, columns: UInt32 | int
-) -> tuple[UInt32, UInt32, Float, Float]:
+def _cell(local: Vector3f, rows: UInt32 | int, columns: UInt32 | int) -> tuple[UInt32, UInt32, Float, Float]:
     """Row, column and shares of the next ones, for a direction."""
+    mi = backend.mitsuba()
     polar = dr.atan2(dr.sqrt(local.x * local.x + local.y * local.y), local.z) * dr.inv_pi
     around = dr.atan2(local.y, local.x) * (0.5 * dr.inv_pi)
     around = dr.select(around < 0.0, around + 1.0, around)
@@ -113,73 +111,74 @@ def _cell(
     return row, column, v - mi.Float(row), h - mi.Float(column)
 
 
-def _plugin(mi: ModuleType) -> type:
-    """Mitsuba's side; its base class exists only once a variant is chosen."""
+class _Photometric:
+    """Mitsuba's side of the lamp; `register` derives it from the variant's emitter."""
 
-    class Photometric(mi.Emitter):  # type: ignore[misc, name-defined]
-        def __init__(self, properties: Properties) -> None:
-            super().__init__(properties)
-            table = np.array(properties["bitmap"], dtype=np.float64)
-            table = table if table.ndim == 3 else table[:, :, None]
-            colour = np.array(properties["intensity"], dtype=np.float64).ravel()
-            self.colour = mi.Color3f(np.broadcast_to(colour, 3).tolist())
-            self.scalar = backend.is_scalar()
-            self.tables = [np.concatenate([table[:, :, c], table[:, :1, c]], axis=1) for c in range(table.shape[2])]
-            self.kernel = None if self.scalar else Tables([table[:, :, c] for c in range(table.shape[2])])
-            self.channels, self.shape = table.shape[2], table.shape[:2]
-            if not self.scalar:
-                dr.make_opaque(self.colour)
-            to_world: Any = properties["to_world"]
-            self.stand(np.array(to_world.matrix, dtype=np.float64).reshape(4, 4))
-            self.m_flags = mi.EmitterFlags.DeltaPosition
-            self.m_needs_sample_2 = False
+    def __init__(self, properties: Properties) -> None:
+        mi = backend.mitsuba()
+        mi.Emitter.__init__(self, properties)
+        table = np.array(properties["bitmap"], dtype=np.float64)
+        table = table if table.ndim == 3 else table[:, :, None]
+        colour = np.array(properties["intensity"], dtype=np.float64).ravel()
+        self.colour = mi.Color3f(np.broadcast_to(colour, 3).tolist())
+        self.scalar = backend.is_scalar()
+        self.tables = [np.concatenate([table[:, :, c], table[:, :1, c]], axis=1) for c in range(table.shape[2])]
+        self.kernel = None if self.scalar else Tables([table[:, :, c] for c in range(table.shape[2])])
+        self.channels, self.shape = table.shape[2], table.shape[:2]
+        if not self.scalar:
+            dr.make_opaque(self.colour)
+        to_world: Any = properties["to_world"]
+        self.stand(np.array(to_world.matrix, dtype=np.float64).reshape(4, 4))
+        self.m_flags = mi.EmitterFlags.DeltaPosition
+        self.m_needs_sample_2 = False
 
-        def stand(self, matrix: Array) -> None:
-            self.place = mi.Point3f(matrix[:3, 3].tolist())
-            self.axes = [mi.Vector3f((matrix[:3, k] / np.linalg.norm(matrix[:3, k])).tolist()) for k in range(3)]
-            if not self.scalar:
-                dr.make_opaque(self.place, self.axes)
+    def stand(self, matrix: Array) -> None:
+        mi = backend.mitsuba()
+        self.place = mi.Point3f(matrix[:3, 3].tolist())
+        self.axes = [mi.Vector3f((matrix[:3, k] / np.linalg.norm(matrix[:3, k])).tolist()) for k in range(3)]
+        if not self.scalar:
+            dr.make_opaque(self.place, self.axes)
 
-        def factor(self, direction: Vector3f, active: Bool | bool) -> Color3f:
-            local = mi.Vector3f(*(dr.dot(axis, direction) for axis in self.axes))
-            if self.kernel is not None:
-                factors: list[Float] | list[float] = [
-                    self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)
-                ]
-            else:
-                row, column, y, x = _cell(mi, local, self.shape[0], self.shape[1])
-                weights = np.outer([1.0 - y, y], [1.0 - x, x])
-                factors = [float((table[row : row + 2, column : column + 2] * weights).sum()) for table in self.tables]
-            return mi.Color3f(*factors) if self.channels == 3 else mi.Color3f(factors[0])
+    def factor(self, direction: Vector3f, active: Bool | bool) -> Color3f:
+        mi = backend.mitsuba()
+        local = mi.Vector3f(*(dr.dot(axis, direction) for axis in self.axes))
+        if self.kernel is not None:
+            factors: list[Float] | list[float] = [
+                self.kernel.at(mi.UInt32(c), local, active) for c in range(self.channels)
+            ]
+        else:
+            row, column, y, x = _cell(local, self.shape[0], self.shape[1])
+            weights = np.outer([1.0 - y, y], [1.0 - x, x])
+            factors = [float((table[row : row + 2, column : column + 2] * weights).sum()) for table in self.tables]
+        return mi.Color3f(*factors) if self.channels == 3 else mi.Color3f(factors[0])
 
-        def sample_direction(
-            self, it: Interaction3f, sample: Point2f, active: Bool | bool = True
-        ) -> tuple[DirectionSample3f, Color3f]:  # Mitsuba's own signature
-            sent = mi.DirectionSample3f() if self.scalar else dr.zeros(mi.DirectionSample3f)
-            sent.p = self.place
-            between = self.place - it.p
-            square = dr.maximum(dr.squared_norm(between), 1e-12)
-            sent.dist = dr.sqrt(square)
-            sent.d = between / sent.dist
-            sent.n = -sent.d
-            sent.time, sent.pdf, sent.delta = it.time, 1.0, True
-            sent.emitter = self if self.scalar else mi.EmitterPtr(self)
-            return sent, self.colour * self.factor(-sent.d, active) / square
+    def sample_direction(
+        self, it: Interaction3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:  # Mitsuba's own signature
+        mi = backend.mitsuba()
+        sent = mi.DirectionSample3f() if self.scalar else dr.zeros(mi.DirectionSample3f)
+        sent.p = self.place
+        between = self.place - it.p
+        square = dr.maximum(dr.squared_norm(between), 1e-12)
+        sent.dist = dr.sqrt(square)
+        sent.d = between / sent.dist
+        sent.n = -sent.d
+        sent.time, sent.pdf, sent.delta = it.time, 1.0, True
+        sent.emitter = self if self.scalar else mi.EmitterPtr(self)
+        return sent, self.colour * self.factor(-sent.d, active) / square
 
-        def eval_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Color3f:
-            square = dr.maximum(dr.squared_norm(self.place - it.p), 1e-12)
-            return self.colour * self.factor(-sent.d, active) / square
+    def eval_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Color3f:
+        square = dr.maximum(dr.squared_norm(self.place - it.p), 1e-12)
+        return self.colour * self.factor(-sent.d, active) / square
 
-        def pdf_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Float:
-            return mi.Float(0.0)
+    def pdf_direction(self, it: Interaction3f, sent: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return backend.mitsuba().Float(0.0)
 
-        def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-            return mi.Color3f(0.0)
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return backend.mitsuba().Color3f(0.0)
 
-        def bbox(self) -> ScalarBoundingBox3f:
-            return mi.ScalarBoundingBox3f()
+    def bbox(self) -> ScalarBoundingBox3f:
+        return backend.mitsuba().ScalarBoundingBox3f()
 
-        def to_string(self) -> str:
-            return "Photometric[]"
-
-    return Photometric
+    def to_string(self) -> str:
+        return "Photometric[]"

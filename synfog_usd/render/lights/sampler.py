@@ -1,10 +1,11 @@
 """The light sampler: which lamp, and where on it, a point or a segment of a path asks for light.
 
 Resampled importance sampling (Talbot et al. 2005): every lamp gives candidates, one of them is kept in proportion to
-what it would send, and only that one costs a shadow ray.  On a segment in fog a lamp gives two candidates, a scattering
-at a distance drawn evenly over the angle at the lamp (Kulla and Fajardo 2012), and one drawn by the forward peak of the
-phase function; their density is that of the mixture.  The 1/r^2 beside a lamp, transmittance, phase function and choice
-of the lamp are thereby out of the noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see `rows`.
+what it would send, and only that one costs a shadow ray.  On a segment in fog a lamp gives two candidates.  One
+scatters at a distance drawn evenly over the angle at the lamp (Kulla and Fajardo 2012), the other at one drawn by the
+forward peak of the phase function; their density is that of the mixture.  So the 1/r^2 beside a lamp, transmittance,
+phase function and choice of the lamp add no noise; what is left is shadow.  Unbiased.  Lamps are rows of numbers, see
+`rows`.
 """
 
 from __future__ import annotations
@@ -204,9 +205,9 @@ class LightSampler:
             picks: as in `along`.
 
         Returns:
-            where the lamp is, its irradiance across the ray (no cosine at the
-            point) divided by its probability, without visibility and fog, its group, and how many points of a lit
-            face were to be expected per solid angle [1/sr] around this one, 0 for a lamp that is a point.
+            where the lamp is; its irradiance across the ray (no cosine at the point) over its probability, without
+            visibility and fog; its group; and how many points of a lit face were to be expected per solid angle [1/sr]
+            around this one, 0 for a lamp that is a point.
         """
         mi = backend.mitsuba()
         reservoir, index = Reservoir(), mi.UInt32(0)

@@ -52,7 +52,7 @@ def is_finite(light: SampledSpectrum) -> Bool:
 
 @lru_cache(maxsize=8)
 def matrices(count: int) -> tuple[Array, Array]:
-    """How R, G and B become N bands: light in W m-2 sr-1 nm-1 per cd m-2, and reflectance; (3, N) each.
+    """How R, G and B become N bands: light [W m-2 sr-1 nm-1], and reflectance; (3, N) each.
 
     The columns of the second add up to 1.
     """
