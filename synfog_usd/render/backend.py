@@ -276,6 +276,12 @@ def plugin_name(name: str) -> str:
     return f"{name}_{'_' * 255}"
 
 
+def derived(base: type, methods: type) -> type:
+    """A class of Mitsuba's with the methods of one of ours; a class of its own takes no second base."""
+    namespace = {name: value for name, value in vars(methods).items() if name not in ("__dict__", "__weakref__")}
+    return type(methods.__name__, (base,), namespace)
+
+
 def let_go() -> None:
     """Give back the memory that Dr.Jit keeps for later arrays, and what the C library keeps."""
     if not is_scalar():

@@ -107,7 +107,7 @@ def register() -> None:
     mi = backend.mitsuba()
     if mi.variant() not in _known and not backend.is_scalar():
         _known.add(mi.variant())
-        bsdf = type("PreviewSurface", (_PreviewSurface, mi.BSDF), {})
+        bsdf = backend.derived(mi.BSDF, _PreviewSurface)
         mi.register_bsdf(backend.plugin_name(TYPE), lambda properties: bsdf(properties))
 
 

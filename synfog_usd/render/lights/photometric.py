@@ -46,7 +46,7 @@ def register() -> None:
     mi = backend.mitsuba()
     if mi.variant() not in _known:
         _known.add(mi.variant())
-        emitter = type("Photometric", (_Photometric, mi.Emitter), {})
+        emitter = backend.derived(mi.Emitter, _Photometric)
         mi.register_emitter(backend.plugin_name(TYPE), lambda properties: emitter(properties))
 
 
