@@ -17,7 +17,7 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -276,7 +276,8 @@ def plugin_name(name: str) -> str:
     return f"{name}_{'_' * 255}"
 
 
-def derived(base: type, methods: type) -> type:
+@functools.cache
+def derived(base: type, methods: type) -> Callable[..., Any]:
     """A class of Mitsuba's with the methods of one of ours; a class of its own takes no second base."""
     namespace = {name: value for name, value in vars(methods).items() if name not in ("__dict__", "__weakref__")}
     return type(methods.__name__, (base,), namespace)

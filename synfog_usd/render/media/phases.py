@@ -11,8 +11,6 @@ is exact wherever the cosine itself is.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -79,43 +77,38 @@ def kernel_phase(record: Phase) -> ClosedForm | Table:
 def plugin(record: Phase) -> PhaseFunction:
     """The same as a `mi.PhaseFunction`, to be put into a medium's dictionary."""
     mi = backend.mitsuba()
-    return _plugin_class(mi.variant())(kernel_phase(record))
+    phase: PhaseFunction = backend.derived(mi.PhaseFunction, _PhasePlugin)(kernel_phase(record))
+    return phase
 
 
-@functools.lru_cache(maxsize=4)
-def _plugin_class(variant: str) -> Callable[[ClosedForm | Table], PhaseFunction]:
-    """The class, which Mitsuba has one of in each variant."""
-    mi = backend.mitsuba()
+class _PhasePlugin:
+    """A record of `fog.phase`; Mitsuba's `wi` points back to where the light comes from."""
 
-    class PhasePlugin(mi.PhaseFunction):  # type: ignore[misc, name-defined]
-        """A record of `fog.phase`; Mitsuba's `wi` points back to where the light comes from."""
+    def __init__(self, kernel: ClosedForm | Table) -> None:
+        mi = backend.mitsuba()
+        mi.PhaseFunction.__init__(self, mi.Properties())
+        self.kernel = kernel
+        self.m_flags = mi.PhaseFunctionFlags.Anisotropic
 
-        def __init__(self, kernel: ClosedForm | Table) -> None:
-            mi.PhaseFunction.__init__(self, mi.Properties())
-            self.kernel = kernel
-            self.m_flags = mi.PhaseFunctionFlags.Anisotropic
+    def sample(
+        self,
+        ctx: PhaseFunctionContext,
+        mei: MediumInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Vector3f, Spectrum, Float]:
+        direction, density = self.kernel.sample(-mei.wi, sample2)
+        return direction, backend.mitsuba().Spectrum(1.0), density
 
-        def sample(
-            self,
-            ctx: PhaseFunctionContext,
-            mei: MediumInteraction3f,
-            sample1: Float,
-            sample2: Point2f,
-            active: Bool | bool = True,
-        ) -> tuple[Vector3f, Spectrum, Float]:
-            direction, density = self.kernel.sample(-mei.wi, sample2)
-            return direction, mi.Spectrum(1.0), density
+    def eval_pdf(
+        self, ctx: PhaseFunctionContext, mei: MediumInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Spectrum, Float]:
+        density = self.kernel.value(-dr.dot(wo, mei.wi))
+        return backend.mitsuba().Spectrum(density), density
 
-        def eval_pdf(
-            self, ctx: PhaseFunctionContext, mei: MediumInteraction3f, wo: Vector3f, active: Bool | bool = True
-        ) -> tuple[Spectrum, Float]:
-            density = self.kernel.value(-dr.dot(wo, mei.wi))
-            return mi.Spectrum(density), density
-
-        def to_string(self) -> str:
-            return f"PhasePlugin[{type(self.kernel).__name__}]"
-
-    return PhasePlugin
+    def to_string(self) -> str:
+        return f"PhasePlugin[{type(self.kernel).__name__}]"
 
 
 def _turned(forward: Vector3f, away: Float, side: Float | float, u: Float) -> Vector3f:
