@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast
 
+import drjit as dr
 import numpy as np
 
 from synfog_usd.base.errors import StageError
@@ -498,8 +499,6 @@ class FisheyeRays:
         self.camera = camera
         if backend.is_scalar():
             return
-        import drjit as dr
-
         angles, most = camera.fisheye.table
         self.angles, rows = backend.floats(angles), len(angles) - 1
         self.rows, self.a_width = dr.opaque(mi.UInt32, rows), dr.opaque(mi.Float, rows / most)
@@ -521,8 +520,6 @@ class FisheyeRays:
             way = self.camera.directions(np.array([place.x, place.y]))
             start = self.camera.to_world[:3, 3] + self.camera.near_m * way
             return mi.Ray3f(mi.Point3f(start), mi.Vector3f(way)), mi.Color3f(1.0)
-        import drjit as dr
-
         x, y = place.x - self.middle.x, (place.y - self.middle.y) * self.tall
         radius = dr.sqrt(x * x + y * y)
         at = radius * self.a_width

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+import drjit as dr
 import numpy as np
 
 from synfog_usd.base import numbers
@@ -626,8 +627,6 @@ class _Launch:
 def _launched(
     integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, halves: Sequence[int], seed: int
 ) -> _Launch:
-    import drjit as dr
-
     moments = integrator.trace(name, backend.numbers(np.tile(pixels, len(halves))), backend.numbers(first), count, seed)
     dr.eval(moments.aovs, moments.groups, moments.lost)  # which does not wait for it
     return _Launch(name, pixels, count, halves, moments)

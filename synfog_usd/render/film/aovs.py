@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
@@ -304,12 +305,9 @@ class _Tracer:
         self.instance_keys = np.array(sorted(instances), dtype=np.int64)
         self.instance_values = np.array([instances[key] for key in sorted(instances)], dtype=np.int64)
         if not self.scalar:
-            import drjit as dr
-
             self.lookup = np.zeros(max(self.rank, default=0) + 1, dtype=np.int64)
             for registry, rank in self.rank.items():
                 self.lookup[registry] = rank
-            self.dr = dr
         self.first_face = np.full(size, -1, dtype=np.int64)
         lists, start = [np.zeros(0, dtype=np.int32)], 0
         for joined, faces in loaded.face_instances.items():
@@ -320,10 +318,7 @@ class _Tracer:
         self.label_of = loaded.tree.label_of if isinstance(loaded.tree, PlacedScene) else np.array([-1])
 
     def identity(self, shape: Shape) -> int:
-        if self.scalar:
-            return id(shape)
-
-        return backend.index_of(self.mi.ShapePtr(shape))
+        return id(shape) if self.scalar else backend.index_of(self.mi.ShapePtr(shape))
 
     def centre_rays(self, pixels: Indices) -> tuple[Array, Array]:
         """(N, 3) origins and directions of pixels (N,), numbered row by row from the top left."""
@@ -334,7 +329,7 @@ class _Tracer:
             ray, _ = self.loaded.sensor.sample_ray(
                 0.0, 0.5, mi.Point2f(backend.floats(u), backend.floats(v)), mi.Point2f(0.5)
             )
-            self.dr.eval(ray)
+            dr.eval(ray)
             origin = backend.rows(ray.o)
             return origin, np.array(np.broadcast_to(backend.rows(ray.d), origin.shape))  # parallel rays come as one
         rays = [
@@ -356,7 +351,7 @@ class _Tracer:
         return Hits(valid, position, onward, normal, front, instance, self.fog_of[rank], see_through)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
-        mi, dr = self.mi, self.dr
+        mi = self.mi
         ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
         tree = self.loaded.tree
         si, row = tree.hits(ray) if isinstance(tree, PlacedScene) else (tree.ray_intersect(ray), mi.UInt32(0))
