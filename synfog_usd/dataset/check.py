@@ -142,14 +142,14 @@ ahead.
 """
 
 
-def _placed(opened: Any, items: Iterable[Told]) -> list[Told]:
+def _placed(opened: usd.Stage, items: Iterable[Told]) -> list[Told]:
     """The same with the paths of prototypes, which nobody authored and whose numbers change with the variants, as those
     of their first instances.
     """
     return [replace(item, path=usd.authored_path(opened, item.path)) for item in items]
 
 
-def _variants(opened: Any) -> Iterator[tuple[str, bool]]:
+def _variants(opened: usd.Stage) -> Iterator[tuple[str, bool]]:
     """The stage with every lighting once and every fog once, as a bake would choose them; gives the lighting's name, ''
     for none, and whether anything was chosen.
     """

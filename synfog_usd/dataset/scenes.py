@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.pinhole import Pinhole
     from synfog_usd.scene import Camera, SceneDict
+    from synfog_usd.stage import Stage
 
 
 class Scenes:
@@ -27,7 +28,7 @@ class Scenes:
 
     def __init__(
         self,
-        stage: Any,
+        stage: Stage,
         plan: BakePlan,
         graph: NodeGraph | None = None,
         *,
@@ -172,7 +173,7 @@ def pinhole_of(view: Camera) -> Pinhole:
     return Pinhole(view.height_px, view.width_px, view.fov_x_deg, view.axis_shift)
 
 
-def cleared(stage: Any, shot: Shot) -> Shot:
+def cleared(stage: Stage, shot: Shot) -> Shot:
     """The shot with the stage's own clear air, where it has any."""
     from synfog_usd import stage as usd
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.scene import SceneDict
+    from synfog_usd.stage import Stage
 
 Reading = Callable[[], contextlib.AbstractContextManager[None]]
 
@@ -47,7 +48,7 @@ class Session:
 
     plan: BakePlan
     graph: NodeGraph
-    stage: Any
+    stage: Stage
     cameras: tuple[str | None, ...]
     renderer: Renderer
     frames: dict[tuple[str, str | None], Image] = field(default_factory=dict)
@@ -153,7 +154,7 @@ def check_compensation(graph: NodeGraph, ev: float) -> None:
         )
 
 
-def own_seed(plan: BakePlan, stage: Any, specimen: str | None) -> int:
+def own_seed(plan: BakePlan, stage: Stage, specimen: str | None) -> int:
     """Seed of one view: its own for every frame but the stage's first, and every camera but the stage's own."""
     from synfog_usd.translate import own_frame
 

@@ -1,5 +1,7 @@
 """USD stages: the fog schema, opening, choosing variants, checking.  Writes to no input layer."""
 
+from pxr.Usd import Stage
+
 from synfog_usd.stage.open import (
     MISSING,
     authored_path,
@@ -27,6 +29,7 @@ register()
 __all__ = [
     "MISSING",
     "Finding",
+    "Stage",
     "authored_path",
     "cameras",
     "check",
