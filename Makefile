@@ -9,9 +9,11 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= out/demo
 SET_OUT ?= out/mini
+CLIP_OUT ?= out/clip
+CLIP_SEED ?= 3
 TESTS  := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: demo dataset assets test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
+.PHONY: demo dataset clip assets test test-all test-physics test-dcc setup libs llvm lint lock wheel clean
 
 demo: setup llvm
 	$(BIN)/synfog-usd info
@@ -22,6 +24,12 @@ dataset: setup llvm
 	$(BIN)/synfog-usd dataset run mini -o $(SET_OUT)
 	$(BIN)/synfog-usd dataset gallery $(SET_OUT)
 	$(BIN)/synfog-usd dataset export $(SET_OUT) --as coco
+
+# Three seconds of a drawn crossing at dusk in fog, as MP4 and GIF.
+clip: setup llvm
+	$(BIN)/synfog-usd compose crossroads --seed $(CLIP_SEED) --seconds 3 --fps 10 -o $(CLIP_OUT)/street.usda
+	$(BIN)/synfog-usd bake $(CLIP_OUT)/street.usda -o $(CLIP_OUT)/frames --frames 0:29 --lighting active --fog mor150 --quality draft --resolution 640x360
+	$(BIN)/python -m docs.studies.clip $(CLIP_OUT)/frames $(CLIP_OUT)/clip.gif
 
 test: setup llvm
 	$(TESTS)

@@ -143,7 +143,8 @@ def export(
         str,
         typer.Option(
             "--as",
-            help="coco, kitti, yolo, cityscapes, foggy-cityscapes, vkitti2, reside, webdataset or huggingface.",
+            help="coco, kitti, yolo, cityscapes, foggy-cityscapes, vkitti2, reside, webdataset or huggingface; of "
+            "clips also kitti-tracking, nuscenes or mcap.",
         ),
     ],
     to: Annotated[

@@ -108,7 +108,7 @@ def bake(
     if all(shot.fog_override is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
         log(_no_fog(plan, usd.variants(session.stage).get("fog", ())))
     chosen = backend.start(plan.variant)  # type: ignore[arg-type]
-    metadata = metadata_of(whole, usd.stage_hash(session.stage), session.graph.hash, chosen.variant)
+    metadata = metadata_of(whole, session.stage_hash, session.graph.hash, chosen.variant)
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
         ledger = Ledger(plan.out, metadata, scenes.notes(todo))
@@ -201,8 +201,6 @@ class _Work:
             self._label(-1)
         with _Background() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(self._unfinished):
-                if shot == self._every[0] and shot.fog != CLEAR:
-                    self._label(index - 1)
                 self._make(index, shot, behind)
                 if shot == self._every[0] and shot.fog == CLEAR:  # the scene is there, whole
                     self._label(index)
@@ -225,6 +223,8 @@ class _Work:
         if self._metered and shot.lighting not in self._views:
             step("metering", METERED)
             self._look(shot, behind)
+        if shot == self._every[0] and shot.fog != CLEAR:
+            self._label(index - 1)
         sampled = SET_UP + (1.0 - SET_UP) * (sampling_share(self._settings) if self._alone else 1.0)
         step("rendering", SET_UP)
         if self._alone:

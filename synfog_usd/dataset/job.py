@@ -91,13 +91,15 @@ def run(
         SynfogError: with place and fix; what was finished stays.
     """
     from synfog_usd.dataset import bake as one
-    from synfog_usd.dataset.rig import apart, bake_cameras
+    from synfog_usd.dataset.rig import apart, bake_cameras, write_rig
     from synfog_usd.dataset.sequence import bake_sequence
 
     more: dict[str, Any] = {"progress": progress, "log": log, "reading": reading}
     if job.codes is not None:
         plans = [job.plan] if job.cameras is None else apart(job.plan, job.cameras, reading=reading)
         results = [bake_sequence(plan, job.codes, adaptation_s=job.adaptation_s, **more) for plan in plans]
+        if len(plans) > 1:
+            write_rig(job.plan, {str(plan.camera): plan.out.name for plan in plans})
         sequences = [sequence for sequence, _ in results]
         return replace(results[0][1], manifest=sequences[0] if len(sequences) == 1 else sequences)
     if job.cameras is None:

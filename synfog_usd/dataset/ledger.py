@@ -63,6 +63,7 @@ def metadata_of(plan: BakePlan, stage_hash: str, graph_hash: str, variant: str) 
             "target_error": plan.target_error,
             "bands": plan.bands,
             "seed": plan.seed,
+            **({} if plan.sampling_seed is None else {"sampling_seed": plan.sampling_seed}),
             "lights": plan.lights,
             "light_scale": plan.light_scale,
             "choices": list(plan.choices),

@@ -88,6 +88,8 @@ class BakePlan:
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
         quality: a word of `numbers.QUALITIES`: when sampling stops, and whether pictures are denoised.
+        sampling_seed: of the light's paths, which all frames of a stage have in common, so that what sampling leaves of
+            noise does not flicker; None for `seed`.
         model, samples, seed, target_error, bands: see `render.shot.Settings`. Samples are the quality's where None; a
             target error replaces its target.
         variant: Mitsuba backend, see `render.backend.choose`.
@@ -120,6 +122,7 @@ class BakePlan:
     target_error: float | None = None
     bands: int = numbers.RGB
     seed: int = 0
+    sampling_seed: int | None = None
     variant: str = "auto"
     strict: bool = False
     lights: str = "auto"
@@ -158,6 +161,11 @@ class BakePlan:
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)
+
+    @property
+    def paths(self) -> int:
+        """Seed of the light's paths."""
+        return self.seed if self.sampling_seed is None else self.sampling_seed
 
     @property
     def promise(self) -> numbers.Quality:

@@ -74,12 +74,28 @@ def bake_cameras(
             )
             first = baked if camera == cameras[0] else first
         assert first is not None
-        rows = [{"camera": camera, "folder": folders[camera]} for camera in cameras]
-        manifest = {"schema": "synfog-usd/rig", "version": 1, "stage": plan.stage.name}
-        manifest |= {"meter": plan.meter, "cameras": rows}
-        files.write_json(plan.out / RIG, manifest)
+        manifest = write_rig(plan, {camera: folders[camera] for camera in cameras})
     progress("done", 1.0)
     return manifest, first
+
+
+def write_rig(plan: BakePlan, folders: Mapping[str, str]) -> dict[str, Any]:
+    """Write `rig.json`, and give what it says.
+
+    Args:
+        plan: of all cameras.
+        folders: path of each camera -> its folder.
+    """
+    rows = [{"camera": camera, "folder": folder} for camera, folder in folders.items()]
+    manifest = {
+        "schema": "synfog-usd/rig",
+        "version": 1,
+        "stage": plan.stage.name,
+        "meter": plan.meter,
+        "cameras": rows,
+    }
+    files.write_json(plan.out / RIG, manifest)
+    return manifest
 
 
 def apart(plan: BakePlan, names: Sequence[str], *, reading: Reading = contextlib.nullcontext) -> list[BakePlan]:

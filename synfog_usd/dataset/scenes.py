@@ -5,7 +5,7 @@ Takes an opened stage, a plan and a graph; gives a scene for a shot, as wide and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +33,14 @@ class Scenes:
         graph: NodeGraph | None = None,
         *,
         lightings: dict[str, Any] | None = None,
+        before: Mapping[str, Any] | None = None,
     ) -> None:
-        """`lightings` are the translations that the cameras of a rig share."""
+        """`lightings` are the translations that the cameras of a rig share; `before` those of another frame."""
         from synfog_usd import stage as usd
 
         self.stage, self.plan, self.graph, self.authored = stage, plan, graph, usd.selected(stage)
         self.lightings: dict[str, Any] = {} if lightings is None else lightings
+        self.before = before or {}
         self.sensor: Pinhole | None = None  # what the sensor takes, where a wider picture is rendered
         self.told: dict[Shot, tuple[Note, ...]] = {}  # what the shots that were surveyed had to report
         self.foggy = False  # whether one of them has fog
@@ -61,7 +63,7 @@ class Scenes:
         first = plan.rig[0] if plan.rig else plan.camera
         view = StageView(first, plan.frame, plan.size, shot.fog_override, plan.lights, plan.light_scale)
         if fresh := shot.lighting not in self.lightings:
-            before = next(iter(self.lightings.values()), None)
+            before = self.before.get(shot.lighting) or next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(self.stage, view, rig=plan.rig[1:], before=before)
         entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:

@@ -10,19 +10,22 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
+import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from synfog_usd.base import files, system
-from synfog_usd.base.errors import OutputError
+from synfog_usd.base.errors import OutputError, StageError
 from synfog_usd.base.progress import Progress, named, silent, within
 from synfog_usd.base.seeds import frame_seed
 from synfog_usd.dataset import flow
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import EARLIER
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
+from synfog_usd.dataset.session import begin, one_camera
 
 SEQUENCE = "sequence.json"
 CLIPS = "clips"
@@ -54,11 +57,13 @@ def bake_sequence(
     Raises:
         SynfogError: with place and fix; finished frames stay.
     """
+    names = None if plan.camera is None else [plan.camera]
+    session = begin(replace(plan, frame=codes[0]), names, reading)
+    plan = replace(plan, camera=one_camera(session))
     with reading():
-        rate, still, lightings = _read(plan, codes)
-    warnings = [f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still"] * still
+        rate, warnings, lightings = _read(session.stage, plan, codes)
     for text in warnings:
-        log(f"warning: {plan.stage}: {text}; animate it by time samples, or bake one frame")
+        log(f"warning: {plan.stage}: {text}")
     step = abs(codes[1] - codes[0]) if len(codes) > 1 else 1.0
     per_s = rate / step
     before: dict[str, tuple[float, float]] = {}
@@ -73,9 +78,11 @@ def bake_sequence(
                 within(progress, number / len(codes), (number + 1) / len(codes)), f"frame {number + 1} of {len(codes)}"
             )
             frame_log.code = code
-            frame = replace(plan, frame=code, seed=seed, out=plan.out / folder, clip=clip)
-            baked = bake(frame, progress=part, log=frame_log, reading=reading)
+            frame = replace(plan, frame=code, seed=seed, sampling_seed=plan.seed, out=plan.out / folder, clip=clip)
+            session = session.at(frame)
+            baked = bake(frame, progress=part, log=frame_log, reading=reading, session=session)
             bakes.append(baked)
+            _tell_price(plan.out, bakes, len(codes), log)
             exposures = _exposures(baked.manifest)
             before |= exposures
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
@@ -116,14 +123,64 @@ class _FrameLog:
             self.passed_on.add(text)
 
 
-def _read(plan: BakePlan, codes: Sequence[float]) -> tuple[float, bool, list[str]]:
-    """Time codes a second of the stage, whether nothing in it changes, and its lightings."""
+def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, list[str], list[str]]:
+    """Time codes a second of the stage, what a user should know of these, and its lightings.
+
+    Raises:
+        StageError: the stage has no rate.
+    """
     from synfog_usd import stage as usd
 
-    stage = usd.open_stage(plan.stage, allow=plan.allow)
-    usd.override(stage, choices=plan.choices)
-    rate, still = float(stage.GetTimeCodesPerSecond()), len(codes) > 1 and _stands_still(stage, plan, codes)
-    return rate, still, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
+    rate, warnings = float(stage.GetTimeCodesPerSecond()), []
+    if not 0.0 < rate < math.inf:
+        raise StageError(
+            f"{plan.stage}: timeCodesPerSecond is {rate:g}, so that its frames have no time; give it a number above 0, "
+            f"or bake one --frame"
+        )
+    if len(codes) > 1 and _stands_still(stage, plan, codes):
+        warnings.append(
+            f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still; animate it "
+            f"by time samples, or bake one --frame"
+        )
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    outside = [code for code in codes if not first <= code <= last]
+    if outside and stage.HasAuthoredTimeCodeRange():
+        warnings.append(
+            f"{len(outside)} of {len(codes)} frames lie outside of the stage's time codes {first:g} to {last:g}, "
+            f"beyond which nothing moves"
+        )
+    return rate, warnings, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
+
+
+def _tell_price(out: Path, bakes: Sequence[Baked], count: int, log: Callable[[str], None]) -> None:
+    """Tell what a clip will take, by its second frame, which costs what all later ones do.
+
+    Raises:
+        OutputError: there is no room for it.
+    """
+    if len(bakes) != 2 or not bakes[1].seconds:
+        return
+    seconds = sum(bakes[1].seconds.values())
+    size = sum(path.stat().st_size for path in (out / f"{1:06d}").rglob("*") if path.is_file())
+    left, free = (count - 2) * size, shutil.disk_usage(out).free
+    log(
+        f"{out}: {count} frames, about {seconds:.2g} s and {size / 1e6:.2g} MB each: "
+        f"{_duration((count - 2) * seconds)} and {left / 1e9:.2g} GB more"
+    )
+    if left > free:
+        raise OutputError(
+            f"{out}: {count} frames take about {left / 1e9:.2g} GB more, and {free / 1e9:.2g} GB are free; choose "
+            f"another output folder, fewer --frames or a smaller --resolution"
+        )
+
+
+def _duration(seconds: float) -> str:
+    """A time in words.
+
+    >>> _duration(7200.0), _duration(90.0)
+    ('2 hours', '1.5 minutes')
+    """
+    return f"{seconds / 3600.0:.2g} hours" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} minutes"
 
 
 def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:

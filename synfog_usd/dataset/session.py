@@ -7,6 +7,7 @@ the scenes of each camera, and the small frames that are metered.
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,13 +30,15 @@ if TYPE_CHECKING:
 Reading = Callable[[], contextlib.AbstractContextManager[None]]
 
 METER_WIDTH_PX = 160
-METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES = 16, 64, 8
-"""Of a pixel of the frame that is metered: where it can be denoised, else, and of a draft, whose frame is not."""
+METER_SAMPLES, METER_SAMPLES_RAW, DRAFT_METER_SAMPLES, CLIP_METER_SAMPLES = 16, 64, 8, 4
+"""Of a pixel of the frame that is metered: where it can be denoised, else, of a draft, whose frame is not, and of a
+stage in motion where it can be denoised: all its frames have the same points, so that their noise does not flicker.
+"""
 
 
 @dataclass
 class Session:
-    """What the bakes of several cameras share; they differ in `camera` and `out` alone.
+    """What the bakes of several cameras share, which differ in `camera` and `out` alone; or those of a clip's frames.
 
     Attributes:
         plan: of all of them.
@@ -54,16 +57,41 @@ class Session:
     frames: dict[tuple[str, str | None], Image] = field(default_factory=dict)
     _scenes: dict[str | None, Scenes] = field(default_factory=dict)
     _lightings: dict[str, Any] = field(default_factory=dict)
+    _before: dict[str, Any] = field(default_factory=dict)
+
+    @functools.cached_property
+    def stage_hash(self) -> str:
+        """Of all that the stage is made of."""
+        from synfog_usd import stage as usd
+
+        return usd.stage_hash(self.stage)
+
+    def at(self, plan: BakePlan) -> Session:
+        """The same stage, of another frame: what stands is taken over from this one's."""
+        rig, authored = self.plan.rig, self.scenes(plan.camera).authored
+        before = self._lightings or self._before
+        moment = replace(self, plan=replace(plan, rig=rig), frames={}, _scenes={}, _lightings={}, _before=before)
+        moment.__dict__["stage_hash"] = self.stage_hash
+        for camera in (*self.cameras, *rig):
+            moment.scenes(camera).authored = authored
+        moment.renderer.serve(plan)
+        return moment
 
     def of(self, camera: str | None) -> BakePlan:
-        """The plan of one of the cameras, with the seed of its own."""
-        return replace(self.plan, camera=camera, seed=own_seed(self.plan, self.stage, self.specimen(camera)))
+        """The plan of one of the cameras, with the seeds of its own."""
+        specimen, plan = self.specimen(camera), replace(self.plan, camera=camera)
+        paths = plan.paths if specimen is None else seed32(plan.paths, "camera", specimen)
+        return replace(plan, seed=own_seed(plan, self.stage, specimen), sampling_seed=paths)
 
     def scenes(self, camera: str | None) -> Scenes:
         """What a camera sees."""
         if camera not in self._scenes:
             self._scenes[camera] = Scenes(
-                self.stage, replace(self.plan, camera=camera), self.graph, lightings=self._lightings
+                self.stage,
+                replace(self.plan, camera=camera),
+                self.graph,
+                lightings=self._lightings,
+                before=self._before,
             )
         return self._scenes[camera]
 
@@ -80,13 +108,13 @@ class Session:
         from synfog_usd.render.shot import render
 
         if (lighting, camera) not in self.frames:
-            draft = self.plan.draft
+            draft, few = self.plan.draft, CLIP_METER_SAMPLES if clear.moving else METER_SAMPLES
             clean = not draft and not backend.is_scalar() and not denoise.available()
             size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * clear.camera.height_px / clear.camera.width_px))
             self.frames[lighting, camera] = render(
                 clear,
-                samples=DRAFT_METER_SAMPLES if draft else METER_SAMPLES if clean else METER_SAMPLES_RAW,
-                seed=seed32(self.of(camera).seed, "meter"),
+                samples=DRAFT_METER_SAMPLES if draft else few if clean else METER_SAMPLES_RAW,
+                seed=seed32(self.of(camera).paths, "meter"),
                 size=size,
                 denoise=clean,
                 loaded=resized(self.renderer.loaded_for(clear, models.AUTO), size),
@@ -199,9 +227,10 @@ class Renderer:
         from synfog_usd.render.shot import load, look
 
         if self.world is not scene.world:
+            known = self.loaded.known if self.loaded and scene.moving else None
             self.free()
             spectra = self.plan.bands != RGB
-            self.loaded, self.world = load(scene, boundaries=False, spectra=spectra), scene.world
+            self.loaded, self.world = load(scene, boundaries=False, spectra=spectra, known=known), scene.world
             self.views[scene.camera.path] = self.loaded
         if scene.camera.path not in self.views:
             self.views[scene.camera.path] = look(self.loaded, scene.camera)

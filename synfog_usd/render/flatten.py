@@ -13,9 +13,9 @@ prototype of which `WORTH_A_PROTOTYPE` triangles would be written out again is j
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -52,12 +52,20 @@ FULL = 1000
 FaceInstances = Mapping[str, npt.NDArray[np.int32]]
 
 
-def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, FaceInstances, Prototypes | None]:
-    """Join meshes by material.
+Joints: TypeAlias = dict[tuple[Any, ...], tuple[tuple[Any, ...], dict[str, Any]]]
+"""By what was joined: that itself, so that no other part gets its id, and what became of it."""
+
+
+def flatten(
+    source: SceneDict, *, placing: bool = False, joints: Joints | None = None
+) -> tuple[SceneDict, FaceInstances, Prototypes | None]:
+    """Join meshes by material; what moves from frame to frame apart from what stands.
 
     Args:
         source: any scene.
         placing: whether instances may be left to a `placed.PlacedScene`.
+        joints: of another frame's scene; what consists of the same parts is taken from them, and they become those of
+            this scene.
 
     Returns:
         the scene with fewer shapes; for each joined mesh its key -> the label id of every face; and where prototypes
@@ -75,14 +83,15 @@ def flatten(source: SceneDict, *, placing: bool = False) -> tuple[SceneDict, Fac
     gathered.gone.update(standing.keys[row] for row in np.flatnonzero(placed))
     unjoined = {group for group, rows in standing.rows.items() if not (expanded | placed)[rows].all()}
     if unjoined and of_places:  # which stay Mitsuba's own, that know nothing of our places
-        return flatten(source)
+        return flatten(source, joints=joints)
     gathered.gone |= {
         key
         for key, value in world.items()
         if isinstance(value, Mapping) and value.get("type") == "shapegroup" and key not in unjoined
     }
-    joined, instances, where = gathered.joined()
-    return joined, instances, _prototypes(source, standing, of_places, where) if of_places else None
+    joined, instances, where = gathered.joined({} if joints is None else joints)
+    apart = of_places or (placing and source.moving and not unjoined)  # else one search tree holds all
+    return joined, instances, _prototypes(source, standing, of_places, where) if apart else None
 
 
 class _Gathered:
@@ -137,21 +146,24 @@ class _Gathered:
             meshes = tuple(member.meshes[place] for place in places)
             names = tuple(member.names[place] for place in places)
             some = member._replace(meshes=meshes, labels=member.labels[:, places], names=names)
-            self._parts.setdefault((*sort, block, member.motion is not None), []).append(some)
+            moves = member.key in self._source.moving
+            self._parts.setdefault((*sort, block, member.motion is not None, moves), []).append(some)
 
-    def joined(self) -> tuple[SceneDict, FaceInstances, dict[tuple[str, str], Piece]]:
+    def joined(self, joints: Joints) -> tuple[SceneDict, FaceInstances, dict[tuple[str, str], Piece]]:
         """The scene with them joined, the label id of every face, and where each prototype's mesh lies in them."""
         source, gone = self._source, self.gone
         joined: dict[str, dict[str, Any]] = {}
         instances: dict[str, npt.NDArray[np.int32]] = {}
+        moving, known = set(source.moving) - gone, _Joiner(source.world, joints)
         where: dict[tuple[str, str], Piece] = {}
         motions = {key: ways for key, ways in source.motion_of.items() if key not in gone}
         groups, fluxes, emissions = dict(source.group_of), dict(source.flux_of), dict(source.emission_of)
-        for index, ((*_, block, moving), members) in enumerate(self._parts.items()):
+        for index, ((*_, block, in_motion, moves), members) in enumerate(self._parts.items()):
             key = f"shape_joined_{index}"
-            joined[key] = {**_joined(members), "bsdf": _bsdf(source.world, members)}
+            joined[key] = known.joined(members, lit=block is not None)
+            if moves:
+                moving.add(key)
             if block is not None:
-                joined[key]["emitter"] = members[0].meshes[0]["emitter"]
                 fluxes[key] = sum(fluxes.get(member.key, 0.0) for member in members)
                 first = members[0].key
                 groups |= {key: groups[first]} if first in groups else {}
@@ -160,8 +172,11 @@ class _Gathered:
                 [np.repeat(some.labels.ravel(), some.faces * len(some.labels)).astype(np.int32) for some in members]
             )
             where |= _pieces(key, members)
-            if moving:
+            if in_motion:
+                joined[key] = dict(joined[key])
                 joined[key]["motion"], motions[key] = _ways(members)
+        joints.clear()
+        joints.update(known.asked)
         rest = {key: value for key, value in source.world.items() if key not in gone}
         needed = _references([*rest.values(), *joined.values()])
         rest = {key: value for key, value in rest.items() if key not in self._kinds or key in needed}
@@ -170,11 +185,58 @@ class _Gathered:
             world={**rest, **joined},
             instance_of={key: instance for key, instance in source.instance_of.items() if key[0] not in gone},
             motion_of=motions,
+            moving=frozenset(moving),
             group_of=groups,
             flux_of=fluxes,
             emission_of=emissions,
         )
         return flat, instances, where
+
+
+class _Joiner:
+    """Joins members, each set of the same ones once.
+
+    Attributes:
+        asked: what was joined, or taken from before.
+    """
+
+    def __init__(self, world: Mapping[str, Any], before: Joints) -> None:
+        self.asked: Joints = {}
+        self._world, self._before = world, before
+
+    def joined(self, members: list[_Member], *, lit: bool) -> dict[str, Any]:
+        """Meshes as one, with their material."""
+        parts = tuple(
+            part for one in members for part in (*one.meshes, *(self._world[key] for key in _materials([one])))
+        )
+        places = tuple(None if one.to_world is None else one.to_world.tobytes() for one in members)
+        more = {"emitter": members[0].meshes[0]["emitter"]} if lit else {}
+        return self._once(
+            ("mesh", lit, places, *map(id, parts)),
+            parts,
+            lambda: {**_joined(members), "bsdf": self._bsdf(members), **more},
+        )
+
+    def _bsdf(self, members: list[_Member]) -> dict[str, Any]:
+        """The material of joined meshes, or all of theirs as one."""
+        number = {key: place for place, key in enumerate(dict.fromkeys(_materials(members)))}
+        if len(number) == 1:
+            return {"type": "ref", "id": next(iter(number))}
+        of_faces = np.concatenate(
+            [
+                np.tile(np.repeat([number[key] for key in _materials([one])], one.faces), len(one.labels))
+                for one in members
+            ]
+        )
+        parts = tuple(self._world[key] for key in number)
+        return self._once(
+            ("bsdf", of_faces.tobytes(), *map(id, parts)), parts, lambda: surface.together(list(parts), of_faces)
+        )
+
+    def _once(self, key: tuple[Any, ...], parts: tuple[Any, ...], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        known = self._before.get(key) or (parts, make())
+        self.asked[key] = known
+        return known[1]
 
 
 class _Member(NamedTuple):
@@ -218,14 +280,15 @@ def _labels(source: SceneDict, keys: list[str], names: Iterable[str]) -> Indices
 
 def _runs(source: SceneDict, standing: Placements, finer: _Detail, some: Flags) -> Iterator[tuple[str, Indices]]:
     """The instances that are asked for, by prototype as they follow one another; those of one run have one level of
-    detail, and what moves is a run of its own.
+    detail and stand or move from frame to frame, and what moves in the exposure is a run of its own.
     """
     groups, rows = list(standing.rows), np.flatnonzero(some)
     number = np.zeros(len(standing.keys), dtype=np.int64)
     for place, of_group in enumerate(standing.rows.values()):
         number[of_group] = place
-    moves = np.array([standing.keys[row] in source.motion_of for row in rows], dtype=bool)
-    sort = np.stack([number[rows], finer.level[rows], np.where(moves, 1 + np.arange(len(rows)), 0)])
+    alone = np.array([standing.keys[row] in source.motion_of for row in rows], dtype=bool)
+    moves = np.array([standing.keys[row] in source.moving for row in rows], dtype=bool)
+    sort = np.stack([number[rows], finer.level[rows], moves, np.where(alone, 1 + np.arange(len(rows)), 0)])
     for run in np.split(rows, 1 + np.flatnonzero((sort[:, 1:] != sort[:, :-1]).any(axis=0))):
         if len(run):
             yield groups[number[run[0]]], run
@@ -283,18 +346,6 @@ def _kinds(source: SceneDict) -> dict[str, tuple[Any, ...]]:
         if key.startswith("mat_") and key not in source.reflectance_of
     }
     return {key: kind for key, kind in kinds.items() if kind is not None}
-
-
-def _bsdf(world: Mapping[str, Any], members: list[_Member]) -> dict[str, Any]:
-    """The material of joined meshes, or all of theirs as one."""
-    number = {key: place for place, key in enumerate(dict.fromkeys(_materials(members)))}
-    if len(number) == 1:
-        return {"type": "ref", "id": next(iter(number))}
-    of_faces = [
-        np.tile(np.repeat([number[key] for key in _materials([some])], some.faces), len(some.labels))
-        for some in members
-    ]
-    return surface.together([world[key] for key in number], np.concatenate(of_faces))
 
 
 def _materials(members: list[_Member]) -> list[str]:

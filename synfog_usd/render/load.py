@@ -21,12 +21,12 @@ from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend, surface
-from synfog_usd.render.flatten import FaceInstances, flatten
+from synfog_usd.render.flatten import FaceInstances, Joints, flatten
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.media.phases import plugin
-from synfog_usd.render.placed import PlacedScene, Prototypes
-from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.render.placed import Groups, PlacedScene, Prototypes
+from synfog_usd.scene import Camera, SceneDict, taken_over
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -71,6 +71,43 @@ GRID_SLICES = 512
 """
 
 
+@dataclass
+class Earlier:
+    """What was made of a frame's scene: for that of another frame, in which much of it stands.
+
+    Attributes:
+        world: the parts, with meshes joined.
+        parts: key -> object.
+        joints, groups: see `flatten` and `placed`.
+    """
+
+    world: Mapping[str, Any] = field(default_factory=dict)
+    parts: dict[str, Any] = field(default_factory=dict)
+    joints: Joints = field(default_factory=dict)
+    groups: Groups = field(default_factory=dict)
+
+    def keep(self, world: Mapping[str, Any]) -> dict[str, Any]:
+        """The world with the parts that are known in the place of those that are the same; all others are let go."""
+        world = taken_over(world, self.world)
+        own = {key: part for key, part in world.items() if key != "type" and part["type"] != "shapegroup"}
+        same = {key for key, part in own.items() if part is self.world.get(key)}
+        before = len(same) + 1
+        while len(same) < before:  # a part is what it was where all that it refers to is
+            before = len(same)
+            same -= {key for key in same if not _refers(world[key]) <= same}
+        self.parts = {key: part for key, part in self.parts.items() if key in same}
+        return world
+
+
+def _refers(part: Any) -> set[str]:
+    """Keys of the parts that a part of a world refers to."""
+    if not isinstance(part, Mapping):
+        return set()
+    if part.get("type") == "ref":
+        return {part["id"]}
+    return set().union(*map(_refers, part.values()))
+
+
 @dataclass(frozen=True)
 class MitsubaScene:
     """Mitsuba's side of a scene.
@@ -92,6 +129,7 @@ class MitsubaScene:
             none where things move.
         guide_surfaces: (width, height [px], rays of a pixel) -> albedo, normal and distance that the last rays of
             `denoise.guides` met.
+        known: for the scene of another frame.
     """
 
     scene: Scene
@@ -107,9 +145,16 @@ class MitsubaScene:
     spectral_bsdfs: dict[str, BSDF] = field(default_factory=dict)
     light_samplers: dict[tuple[float, int], LightSampler] = field(default_factory=dict)
     guide_surfaces: dict[tuple[int, int, int], tuple[Color3f, Normal3f, Float]] = field(default_factory=dict)
+    known: Earlier = field(default_factory=Earlier)
 
 
-def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True) -> MitsubaScene:
+def to_mitsuba(
+    source: SceneDict,
+    *,
+    size: tuple[int, int] | None = None,
+    boundaries: bool = True,
+    known: Earlier | None = None,
+) -> MitsubaScene:
     """Build the scene in the variant in force.
 
     Args:
@@ -117,6 +162,7 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         size: (width, height) in pixels instead of the camera's own.
         boundaries: whether the fog is in the scene as null-material shapes with media.
             Without them, lamps that `LightSampler` holds are left out of Mitsuba's own choice of lights.
+        known: of another frame, whose own scene is let go.
 
     Raises:
         StageError: Mitsuba refuses a part; names its key.
@@ -124,16 +170,21 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
     mi = backend.mitsuba()
     photometric.register()
     surface.register()
+    known = known or Earlier()
     gc.collect()  # a scene before this one must give its ids back, else every kernel is compiled anew
     if size is not None:
         source = replace(source, camera=replace(source.camera, width_px=size[0], height_px=size[1]))
-    source, face_instances, prototypes = _joined(source, boundaries=boundaries)
-    objects = _Objects(mi, source.world)
+    source, face_instances, prototypes = _joined(source, boundaries=boundaries, joints=known.joints)
+    source = replace(source, world=known.keep(source.world))
+    gc.collect()
+    objects = _Objects(mi, source.world, known.parts)
     objects.build_all()
     parts, shapes = objects.parts, objects.shapes
-    top = {key: item for key, item in parts.items() if not key.startswith("mat_")}
+    top = {key: parts[key] for key in source.world if key != "type" and not key.startswith("mat_")}
     backend.let_go()  # what boxes of meshes took, before the search tree takes most memory of all
-    placed = None if prototypes is None else PlacedScene(shapes, source.world, prototypes)
+    placed = None
+    if prototypes is not None:
+        placed = PlacedScene(shapes, source.world, prototypes, source.moving, known.groups)
     if placed is not None:
         top = {key: item for key, item in top.items() if (key,) not in shapes or "emitter" in source.world[key]}
         top["extent"] = _extent(mi, placed)
@@ -154,16 +205,19 @@ def to_mitsuba(source: SceneDict, *, size: tuple[int, int] | None = None, bounda
         source,
         face_instances,
         parts,
+        known=replace(known, world=source.world, parts=parts) if source.moving else Earlier(),
     )
 
 
-def _joined(source: SceneDict, *, boundaries: bool) -> tuple[SceneDict, FaceInstances, Prototypes | None]:
+def _joined(
+    source: SceneDict, *, boundaries: bool, joints: Joints
+) -> tuple[SceneDict, FaceInstances, Prototypes | None]:
     """The scene with few shapes, see `flatten`, and with the lights that Mitsuba is to choose among."""
     face_instances: FaceInstances = {}
     prototypes = None
     if not backend.is_scalar():  # which has no kernels to keep small
         placing = not boundaries and not backend.is_cuda() and not source.motion_of
-        source, face_instances, prototypes = flatten(source, placing=placing)
+        source, face_instances, prototypes = flatten(source, placing=placing, joints=joints)
     world = _weighted(source)
     if not boundaries and any(_is_light(part) and not is_sampled_light(part) for part in world.values()):
         # Mitsuba wants one to choose
@@ -175,13 +229,15 @@ class _Objects:
     """Makes Mitsuba's objects of a world, each once.
 
     Attributes:
-        parts: key of the world -> its object.
+        parts: key of the world -> its object; those that are known from the beginning are not made again.
         shapes: names as in `SceneDict.instance_of` -> shape.
     """
 
-    def __init__(self, mi: ModuleType, world: Mapping[str, Any]) -> None:
-        self.parts: dict[str, Any] = {}
-        self.shapes: dict[tuple[str, ...], Shape] = {}
+    def __init__(self, mi: ModuleType, world: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+        self.parts = dict(known)
+        self.shapes: dict[tuple[str, ...], Shape] = {
+            (key,): part for key, part in known.items() if key.startswith(_SHAPES)
+        }
         self._mi, self._world = mi, world
         self._textures: dict[tuple[int, tuple[tuple[str, bytes], ...]], tuple[Pixels, Texture]] = {}
 
@@ -202,7 +258,7 @@ class _Objects:
                 self.parts[key] = self._mi.load_dict(group) if inner else self._build(group, key)
             else:
                 self.parts[key] = self._build(value, key)
-                if key.startswith(("shape_", "instance_")):
+                if key.startswith(_SHAPES):
                     self.shapes[(key,)] = self.parts[key]
 
     def _build(self, value: Mapping[str, Any], key: str) -> Object:
@@ -243,6 +299,10 @@ class _Objects:
             texture = self._mi.load_dict(leaves | {"bitmap": _leaf(self._mi, "bitmap", pixels)})
             self._textures[key] = pixels, texture  # the pixels are kept, so that no other array gets their id
         return self._textures[key][1]
+
+
+_SHAPES = ("shape_", "instance_")
+"""How keys of what a ray may meet begin."""
 
 
 def _fog(mi: ModuleType, fog: Sequence[FogVolume]) -> tuple[list[Medium], dict[int, Shape]]:

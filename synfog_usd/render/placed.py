@@ -8,11 +8,12 @@ that is, and where it stands.
 
 from __future__ import annotations
 
+import functools
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import drjit as dr
 import numpy as np
@@ -87,17 +88,27 @@ class Prototypes:
 class PlacedScene:
     """What rays meet, asked for as Mitsuba's scenes are.
 
+    What stands while other things move from frame to frame is a prototype too, whose search tree is made once.
+
     Args:
         shapes: (key,) -> shape of the variant in force.
         world: what they were made of, by key.
         prototypes: which of their faces stand where.
+        moving: keys of what moves from frame to frame; where there are none, nothing is kept for another frame.
+        groups: of another frame's scene; what consists of the same parts is taken from them, and they become those of
+            this one.
 
     Attributes:
         label_of: (R,) label id of what has a row in the table, -1 where each face has its own.
     """
 
     def __init__(
-        self, shapes: Mapping[tuple[str, ...], Shape], world: Mapping[str, Any], prototypes: Prototypes
+        self,
+        shapes: Mapping[tuple[str, ...], Shape],
+        world: Mapping[str, Any],
+        prototypes: Prototypes,
+        moving: Collection[str] = (),
+        groups: Groups | None = None,
     ) -> None:
         mi = backend.mitsuba()
         numbers = {key: backend.index_of(mi.ShapePtr(shape)) for (key,), shape in shapes.items()}
@@ -107,7 +118,8 @@ class PlacedScene:
             if world[key]["type"] == "mesh"
         }
         traced_mi = importlib.import_module(f"mitsuba.{TRACED}")
-        self._ray, traced = traced_mi.Ray3f, _traced(traced_mi, vertices, world, prototypes)
+        self._ray, tracer = traced_mi.Ray3f, _Traced(traced_mi, vertices, world, {} if groups is None else groups)
+        traced, still = tracer.all(prototypes, moving)
         self.scene = cast("Scene", _loaded({"type": "scene", **traced}))
         traced_numbers = {
             key: backend.index_of(traced_mi.ShapePtr(shape))
@@ -119,6 +131,11 @@ class PlacedScene:
         for key in (key for key in numbers if key in traced_numbers):
             row_of[traced_numbers[key]] = len(shape)
             shape, first, labels, matrices = [*shape, numbers[key]], [*first, 0], [*labels, -1], [*matrices, np.eye(4)]
+        if still:
+            row_of[traced_numbers[STILL]] = len(shape)
+            shape += [numbers[key] for key in still]
+            first, labels = [*first, *(0 for _ in still)], [*labels, *(-1 for _ in still)]
+            matrices += [np.eye(4)] * len(still)
         for k, place in enumerate(prototypes.places):
             row_of[traced_numbers[f"place_{k}"]] = len(shape)
             for piece, label in zip(prototypes.pieces[place.prototype], place.labels, strict=True):
@@ -202,32 +219,72 @@ class PlacedScene:
         return traced
 
 
-def _traced(
-    mi: ModuleType, vertices: Mapping[str, Float], world: Mapping[str, Any], prototypes: Prototypes
-) -> dict[str, Object]:
-    """All shapes without their surfaces: under their keys, as 'group_K' the prototypes, as 'place_K' the places."""
-    standing = {key: len(world[key]["faces"]) for key in vertices}
-    for piece in (piece for pieces in prototypes.pieces.values() for piece in pieces):
-        standing[piece.key] = min(standing[piece.key], piece.first_face)
-    shapes: dict[str, Object] = {
-        key: _mesh(mi, vertices[key], np.asarray(world[key]["faces"])[:count])
-        for key, count in standing.items()
-        if count
-    }
-    for key, part in world.items():
-        if key.startswith("shape_") and key not in vertices:
-            form = {name: value for name, value in part.items() if name not in ("bsdf", "emitter")}
-            if "to_world" in form:
-                form["to_world"] = mi.ScalarTransform4f(np.asarray(form["to_world"], dtype=np.float64))
-            shapes[key] = _loaded(form)
-    groups = {}
-    for k, (prototype, pieces) in enumerate(prototypes.pieces.items()):
-        meshes = {f"piece_{n:06}": _piece(mi, world[piece.key], piece) for n, piece in enumerate(pieces)}
-        groups[prototype] = shapes[f"group_{k}"] = _loaded({"type": "shapegroup", **meshes})
-    for k, place in enumerate(prototypes.places):
-        to_world = mi.ScalarTransform4f(place.to_world)
-        shapes[f"place_{k}"] = _loaded({"type": "instance", "to_world": to_world, "group": groups[place.prototype]})
-    return shapes
+STILL, STILL_GROUP = "place_still", "group_still"
+"""What stands while other things move, as one prototype, and where that stands."""
+
+Groups: TypeAlias = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
+"""By what a group was made of: that itself, so that no other part gets its id, and the group."""
+
+
+class _Traced:
+    """Makes shapes without their surfaces, and groups of these once for all frames in which they are the same."""
+
+    def __init__(self, mi: ModuleType, vertices: Mapping[str, Float], world: Mapping[str, Any], groups: Groups) -> None:
+        self._mi, self._vertices, self._world, self._groups = mi, vertices, world, groups
+
+    def all(self, prototypes: Prototypes, moving: Collection[str]) -> tuple[dict[str, Object], list[str]]:
+        """All shapes under their keys, as 'group_K' the prototypes, as 'place_K' the places; and the keys of the meshes
+        that are together in `STILL_GROUP`.
+        """
+        mi, world, asked = self._mi, self._world, Groups()
+        counts = {key: len(world[key]["faces"]) for key in self._vertices}
+        for piece in (piece for pieces in prototypes.pieces.values() for piece in pieces):
+            counts[piece.key] = min(counts[piece.key], piece.first_face)
+        counts = {key: count for key, count in counts.items() if count}
+        still = [key for key in counts if key not in moving] if moving else []
+        shapes: dict[str, Object] = {key: self._part(key, count) for key, count in counts.items() if key not in still}
+        for key, part in world.items():
+            if key.startswith("shape_") and key not in self._vertices:
+                form = {name: value for name, value in part.items() if name not in ("bsdf", "emitter")}
+                if "to_world" in form:
+                    form["to_world"] = mi.ScalarTransform4f(np.asarray(form["to_world"], dtype=np.float64))
+                shapes[key] = _loaded(form)
+        groups = {}
+        for k, (prototype, pieces) in enumerate(prototypes.pieces.items()):
+            make = functools.partial(self._pieces, pieces)
+            groups[prototype] = shapes[f"group_{k}"] = self._group(asked, (pieces,), [p.key for p in pieces], make)
+        for k, place in enumerate(prototypes.places):
+            shapes[f"place_{k}"] = self._place(place.to_world, groups[place.prototype])
+        if still:
+            of_still = tuple((key, counts[key]) for key in still)
+            make = functools.partial(self._whole, of_still)
+            shapes[STILL_GROUP] = self._group(asked, of_still, still, make)
+            shapes[STILL] = self._place(np.eye(4), shapes[STILL_GROUP])
+        self._groups.clear()
+        if moving:
+            self._groups.update(asked)
+        return shapes, still
+
+    def _group(
+        self, asked: Groups, of: tuple[Any, ...], keys: Sequence[str], make: Callable[[], dict[str, Object]]
+    ) -> Object:
+        parts = tuple(self._world[key] for key in keys)
+        key = (of, *map(id, parts))
+        asked[key] = self._groups.get(key) or (parts, _loaded({"type": "shapegroup", **make()}))
+        return asked[key][1]
+
+    def _pieces(self, pieces: Sequence[Piece]) -> dict[str, Object]:
+        return {f"piece_{n:06}": _piece(self._mi, self._world[piece.key], piece) for n, piece in enumerate(pieces)}
+
+    def _whole(self, still: Sequence[tuple[str, int]]) -> dict[str, Object]:
+        return {f"piece_{n:06}": self._part(key, count) for n, (key, count) in enumerate(still)}
+
+    def _part(self, key: str, count: int) -> Object:
+        """The first faces of a mesh."""
+        return _mesh(self._mi, self._vertices[key], np.asarray(self._world[key]["faces"])[:count])
+
+    def _place(self, to_world: Array, group: Object) -> Object:
+        return _loaded({"type": "instance", "to_world": self._mi.ScalarTransform4f(to_world), "group": group})
 
 
 def _loaded(parts: dict[str, Any]) -> Object:

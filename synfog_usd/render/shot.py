@@ -33,7 +33,7 @@ from synfog_usd.render.film.accumulator import (
 )
 from synfog_usd.render.integrators.eye import LENS_M
 from synfog_usd.render.lights.rows import is_sampled_light
-from synfog_usd.render.load import MitsubaScene, seen_by, to_mitsuba
+from synfog_usd.render.load import Earlier, MitsubaScene, seen_by, to_mitsuba
 from synfog_usd.render.picture import About, Cleaning, Rendered, Sampled
 from synfog_usd.render.sampling.adaptive import Target, accumulate_denoised, accumulate_to_target
 from synfog_usd.scene import Camera, SceneDict
@@ -262,7 +262,12 @@ def _guide_rays(samples: int) -> int:
 
 
 def load(
-    scene: SceneDict, *, size: tuple[int, int] | None = None, boundaries: bool = True, spectra: bool = True
+    scene: SceneDict,
+    *,
+    size: tuple[int, int] | None = None,
+    boundaries: bool = True,
+    spectra: bool = True,
+    known: Earlier | None = None,
 ) -> MitsubaScene:
     """The scene in Mitsuba, with the near plane moved to the lens where it hides nothing; without `spectra` of
     materials, which R, G and B never ask for, more of these are drawn together.
@@ -272,7 +277,7 @@ def load(
     stands before it (a camera inside a car body).
     """
     scene = scene if spectra else replace(scene, reflectance_of={})
-    loaded = to_mitsuba(replace(scene, camera=_close(scene.camera)), size=size, boundaries=boundaries)
+    loaded = to_mitsuba(replace(scene, camera=_close(scene.camera)), size=size, boundaries=boundaries, known=known)
     return _clipped(loaded, scene.camera.near_m)
 
 

@@ -193,6 +193,8 @@ class SceneDict:
         motion_of: key in `world` of what moves while the camera exposes -> matrices (M, K, 4, 4) from the place in
             `world` to the place then.  There are M ways to move, at K even steps from the beginning of the first row to
             the end of the last one.  Which way a vertex of a mesh goes stands in its 'motion' (N,); without it M is 1.
+        moving: keys in `world` of what has another place in other frames of the stage.
+        route_m: (K, 3) places of the camera over the stage's frames; none where it stands.
         bounds_m: (2, 3) corners of the box around the camera and all that is drawn.
         flux_of: key of a lamp in `world` -> its luminous flux [lm]; inf for a sky or a sun.
         lanes: of the roads, where the stage tells of them.
@@ -210,6 +212,8 @@ class SceneDict:
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
     emission_of: Mapping[str, Array] = field(default_factory=dict)
     motion_of: Mapping[str, Array] = field(default_factory=dict)
+    moving: frozenset[str] = frozenset()
+    route_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
     bounds_m: Array = field(default_factory=lambda: np.zeros((2, 3)))
     lanes: tuple[Lanelet, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -217,9 +221,31 @@ class SceneDict:
     further_cameras: tuple[Camera, ...] = ()
 
     def away_m(self, places: Array) -> Array:
-        """(N,) distances [m] of places (N, 3) from the nearest camera."""
-        eyes = [eye.to_world[:3, 3] for eye in (self.camera, *self.further_cameras)]
+        """(N,) distances [m] of places (N, 3) from the nearest camera, wherever it is in the stage's frames."""
+        eyes = [*(eye.to_world[:3, 3] for eye in (self.camera, *self.further_cameras)), *self.route_m]
         return np.asarray(np.min([np.linalg.norm(places - eye, axis=1) for eye in eyes], axis=0))
+
+
+def taken_over(world: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """A world whose parts that are as those of another are these themselves: what was made of them is still right."""
+    return {key: before[key] if key in before and _same(part, before[key]) else part for key, part in world.items()}
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether parts of two worlds mean the same; of large arrays only one that is the other does."""
+    if one is other:
+        return True
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, Mapping):
+        return one.keys() == other.keys() and all(_same(part, other[key]) for key, part in one.items())
+    if isinstance(one, np.ndarray):
+        return one.size <= _SMALL and one.dtype == other.dtype and np.array_equal(one, other)
+    return bool(one == other)
+
+
+_SMALL = 64
+"""Numbers of an array that is compared one by one."""
 
 
 @dataclass(frozen=True)

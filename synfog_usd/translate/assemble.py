@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array, FloatArray, extent
 from synfog_usd.base.errors import StageError
@@ -39,7 +39,7 @@ from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.primvars import PrimvarValue
 from synfog_usd.translate.shapes import MOST_BALLS, Meshes, Part, Shapes
 from synfog_usd.translate.skel import has_skeletons, posed
-from synfog_usd.translate.space import Space, stage_space
+from synfog_usd.translate.space import Space, columns, stage_space
 from synfog_usd.translate.texture import ImageReader
 from synfog_usd.translate.walk import GroupInstance, Leaf, Owner, Walk, walk
 
@@ -108,7 +108,7 @@ class Outlook(NamedTuple):
 
 @dataclass
 class Reused:
-    """Meshes and pictures of a stage, for its next translation with other variants."""
+    """Meshes and pictures of a stage's last translation, for the next with other variants or of another frame."""
 
     meshes: Meshes = field(default_factory=dict)
     images: ImageReader | None = None
@@ -135,7 +135,7 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
         content = walk(stage, time, notes)
         scene.build(content)
     images.let_go()
-    reused.images = images
+    reused.images, reused.meshes = images, scene.drawer.drawn
     scene.tell_motion()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
@@ -158,6 +158,8 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
         reflectance_of={key: curve for key, curve in scene.materials.reflectance_of.items() if key in world},
         emission_of=scene.emission_of,
         motion_of=scene.motion_of,
+        moving=frozenset(scene.moving),
+        route_m=_route(stage, space, time, eye),
         bounds_m=bounds,
         lanes=lanes(content.lanes, space, time, notes),
         origin_m=(float(space.origin_m[0]), float(space.origin_m[1]), float(space.origin_m[2])),
@@ -242,10 +244,48 @@ def looked_from(stage: Usd.Stage, view: StageView, notes: Diagnostics) -> tuple[
     stage = posed(stage, time, notes)
     space = stage_space(stage, notes)
     eye = read_camera(stage, space, time, notes, path=view.camera, resolution=view.resolution)
-    space = replace(space, origin_m=np.round(eye.to_world[:3, 3]) + 0.0)
+    space = replace(space, origin_m=np.round(_home(stage, space, time, eye)) + 0.0)
     to_world = eye.to_world.copy()
     to_world[:3, 3] -= space.origin_m
     return stage, time, space, replace(eye, to_world=to_world)
+
+
+HOME_M = 1000.0
+"""Way of a camera from its place in the stage's first frame [m] beyond which a scene has its origin near the camera:
+there float32 resolves 0.06 mm.
+"""
+
+
+ROUTE = 33
+"""Places of a camera that goes somewhere in the stage's frames."""
+
+
+def _route(stage: Usd.Stage, space: Space, time: Usd.TimeCode, eye: Camera) -> Array:
+    """(K, 3) places of a camera in the scene over the stage's frames; none where it stands."""
+    prim, first, last = stage.GetPrimAtPath(eye.path), stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    moves = not time.IsDefault() and stage.HasAuthoredTimeCodeRange() and first < last
+    if not moves or not math.isfinite(last - first):
+        return np.zeros((0, 3))
+    caches = [UsdGeom.XformCache(Usd.TimeCode(code)) for code in np.linspace(first, last, ROUTE).tolist()]
+    places = np.stack([(space.matrix @ columns(cache.GetLocalToWorldTransform(prim)))[:3, 3] for cache in caches])
+    return places if np.isfinite(places).all() and np.ptp(places, axis=0).any() else np.zeros((0, 3))
+
+
+def _home(stage: Usd.Stage, space: Space, time: Usd.TimeCode, eye: Camera) -> Array:
+    """The place [m] near which the origin of a camera's scene is: of all frames the same, so that what stands keeps its
+    numbers.
+    """
+    place: Array = eye.to_world[:3, 3]
+    if (
+        time.IsDefault()
+        or not stage.HasAuthoredMetadata("startTimeCode")
+        or not math.isfinite(stage.GetStartTimeCode())
+    ):
+        return place
+    begun = at_mid_exposure(stage, Usd.TimeCode(stage.GetStartTimeCode()), Diagnostics(), path=eye.path)
+    matrix = UsdGeom.XformCache(begun).GetLocalToWorldTransform(stage.GetPrimAtPath(eye.path))
+    first: Array = (space.matrix @ columns(matrix))[:3, 3]
+    return first if np.linalg.norm(place - first) <= HOME_M else place
 
 
 def fog_around(
@@ -307,6 +347,7 @@ class _Assembler:
         self.instances: list[Instance] = []
         self.poser, self.mover = Poser(stage, space, time, notes), mover
         self.motion_of: dict[str, Array] = {}
+        self.moving = set[str]()
         self.deforming: list[str] = []
         self.instance_of: dict[tuple[str, ...], int] = {}
         self.instance_ids: dict[str, int] = {}
@@ -480,12 +521,16 @@ class _Assembler:
             self.emission_of[key] = curves[0][1]
 
     def note_motion(self, key: str, leaf: Leaf, placement: GroupInstance | None) -> None:
-        """Keep how a shape or lamp moves while the shutter is open, if it does; deforming meshes are only listed."""
-        if not self.mover.open or leaf.kind == "DistantLight":
-            return
+        """Whether a shape or lamp moves from frame to frame, and how while the shutter is open; what deforms is only
+        told.
+        """
         path = leaf.path
         if placement is not None:
             path = placement.path + leaf.path.removeprefix(self.roots[placement.group])
+        if self.mover.elsewhere(path):
+            self.moving.add(key)
+        if not self.mover.open or leaf.kind == "DistantLight":
+            return
         if (motion := self.mover.of(path)) is not None:
             self.motion_of[key] = motion
         if leaf.kind == "Mesh" and leaf.prim.GetAttribute("points").ValueMightBeTimeVarying():
@@ -598,6 +643,8 @@ class _Assembler:
         for place, matrix in zip(places, matrices, strict=True):
             instance = f"instance_{len(self.placed)}"
             self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": group}
+            if self.mover.elsewhere(place.path):
+                self.moving.add(instance)
             if (motion := self.mover.of(place.path)) is not None:
                 self.motion_of[instance] = motion
             for name, (leaf, _) in zip(names, shared, strict=True):

@@ -17,7 +17,7 @@ from pxr import Sdf, Usd
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.notes import Note
 from synfog_usd.fog import Fog, FogVolume
-from synfog_usd.scene import Camera, SceneDict
+from synfog_usd.scene import Camera, SceneDict, taken_over
 from synfog_usd.stage.open import authored_path, selected
 from synfog_usd.stage.opinions import opinions_of
 from synfog_usd.stage.schema import FOG_VARIANT_SET
@@ -41,7 +41,8 @@ class Exchange:
         stage: with its variants chosen.
         view: how it is looked at, by the first camera of a rig.
         rig: prim paths of further cameras, which look at the same moment.
-        before: of the same stage with other variants; meshes and pictures that did not change are reused.
+        before: of the same stage with other variants, or of another frame; meshes and pictures that did not change are
+            reused.
 
     Attributes:
         scene: the stage as it was chosen.
@@ -61,6 +62,8 @@ class Exchange:
         self._view = view
         self._reused: Reused = Reused() if before is None else before._reused
         self.scene, boundaries, outlook = with_boundaries(stage, view, self._reused)
+        if before is not None:
+            self.scene = replace(self.scene, world=taken_over(self.scene.world, before.scene.world))
         self._moment = outlook.time, half_exposure(outlook.stage, outlook.time, outlook.eye.path)
         self._origin_m = outlook.space.origin_m
         cameras = [self._looked(stage, path, Diagnostics()) for path in rig if path != self.scene.camera.path]

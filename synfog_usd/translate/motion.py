@@ -59,12 +59,13 @@ class Mover:
     def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float, notes: Diagnostics) -> None:
         self._stage, self._space, self._notes, self.open = stage, space, notes, half > 0.0
         self.moving: dict[str, None] = {}
+        self._varies: dict[Sdf.Path, bool] = {}
+        self._timed = not time.IsDefault()
         if not self.open:
             return
         self._middle = time
         self._times = [Usd.TimeCode(time.GetValue() + half * way) for way in np.linspace(-1.0, 1.0, MOMENTS)]
         self._caches = [UsdGeom.XformCache(moment) for moment in (time, *self._times)]
-        self._varies: dict[Sdf.Path, bool] = {}
         self._points: dict[str, Array | None] = {}
         self._motions: dict[str, Array | None] = {}
 
@@ -84,6 +85,19 @@ class Mover:
         if self._motions[key] is not None:
             self.moving[path] = None
         return self._motions[key]
+
+    def elsewhere(self, path: str) -> bool:
+        """Whether a prim has another place in other frames of the stage; paths as `of` takes them."""
+        if not self._timed:
+            return False
+        point = _POINT.match(path)
+        prim = self._prim(point.group(1) if point else path)
+        if prim is None:
+            return False
+        if not point:
+            return self._vary(prim)
+        attributes = [prim.GetAttribute(name) for name in _MOVING]
+        return self._vary(prim) or any(one and one.ValueMightBeTimeVarying() for one in attributes)
 
     def _prim(self, path: str) -> Usd.Prim | None:
         prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None

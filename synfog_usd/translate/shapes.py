@@ -52,8 +52,9 @@ class Shapes:
     """Makes the shapes of leaves.
 
     Attributes:
-        meshes: of this translation and an earlier one of the same stage; None for a stage with value clips, whose prims
-            have values that none of their specs holds.
+        meshes: of an earlier translation of the same stage; None for a stage with value clips, whose prims have values
+            that none of their specs holds.
+        drawn: those of this one.
     """
 
     def __init__(
@@ -68,6 +69,8 @@ class Shapes:
     ) -> None:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
         self.metres_per_unit, self.meshes = metres_per_unit, meshes
+        self.drawn: Meshes = {}
+        self._varying: dict[tuple[Any, ...], bool] = {}
         self.ahead: dict[str, Arrays] = {}
         self.finite: dict[str, bool] = {}
         self._remembers = False
@@ -192,9 +195,9 @@ class Shapes:
         finishes = [finish, *[of_subset for _, of_subset in subsets]]
         uv, color = self._uv_and_color(leaf, finishes)
         signature, before = self._signature(leaf, matrix, finish, color) if not subsets else None, self.notes.count
-        if self.meshes is not None and signature in self.meshes:
-            shape = {**self.meshes[signature], "bsdf": {"type": "ref", "id": finish.key}}
-            return [(shape, finish.emission, finish.emission_nits)]
+        known = None if self.meshes is None or signature is None else self._drawn_before(signature)
+        if known is not None:
+            return [({**known, "bsdf": {"type": "ref", "id": finish.key}}, finish.emission, finish.emission_nits)]
         pieces = self._once(
             self._pieces_of,
             (uv, color),
@@ -205,8 +208,15 @@ class Shapes:
             if triangles is not None:
                 parts += self._piece(leaf, triangles, worn, (number, uv, color))
         if self.meshes is not None and signature is not None and len(parts) == 1 and self.notes.count == before:
-            self.meshes[signature] = parts[0][0]
+            self.drawn[signature] = parts[0][0]
         return parts
+
+    def _drawn_before(self, signature: tuple[Any, ...]) -> dict[str, Any] | None:
+        """The shape of a mesh that was drawn already, in this translation or the one before."""
+        known = self.drawn.get(signature) or (self.meshes or {}).get(signature)
+        if known is not None:
+            self.drawn[signature] = known
+        return known
 
     def _uv_and_color(self, leaf: Leaf, finishes: list[Finish]) -> tuple[UvSource | None, str | None]:
         """The texture coordinates and the primvar of colours that the materials of a mesh read: the first one's."""
@@ -308,11 +318,15 @@ class Shapes:
         """Everything that determines a mesh: the specs of its prim, its place and finish; None where more does."""
         if self.meshes is None or finish.colored or "MeshLightAPI" in leaf.schemas:
             return None
-        specs = [
+        specs = tuple(
             (spec.layer.identifier, spec.path, offset.offset, offset.scale)
             for spec, offset in leaf.prim.GetPrimStackWithLayerOffsets()
-        ]
-        return (*specs, self.time, matrix.tobytes(), finish.uv, finish.unwrapped, color)
+        )
+        if specs not in self._varying:
+            own = (leaf.prim.GetAttribute(name) for name in leaf.authored)
+            self._varying[specs] = any(one and one.ValueMightBeTimeVarying() for one in own)
+        time = self.time if self._varying[specs] else None
+        return (*specs, time, matrix.tobytes(), finish.uv, finish.unwrapped, color)
 
     def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], area_m2: float) -> Part:
         metres, convention = self.metres_per_unit, self.chooser.of(leaf.prim)

@@ -3,6 +3,7 @@ read.
 """
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -10,12 +11,15 @@ import tifffile
 from support.cli import run
 from support.stages import street
 
+import synfog_usd as sf
 from synfog_usd import camera
 from synfog_usd import stage as usd
 from synfog_usd.base import resources
-from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.base.seeds import frame_seed, seed32
+from synfog_usd.camera import writers
 from synfog_usd.camera.writers import video
+from synfog_usd.dataset.exports.frames import pictures
 from synfog_usd.dataset.job import job_of
 from synfog_usd.dataset.plan import frame_codes
 
@@ -193,3 +197,138 @@ def test_a_stage_stands_still_where_no_value_changes_at_its_frames(tmp_path, sam
     }[place]
     (tmp_path / "a.usda").write_text("#usda 1.0\n" + text)
     assert usd.stands_still(usd.open_stage(tmp_path / "a.usda"), codes) is still
+
+
+MOVING = """#usda 1.0
+(
+    upAxis = "Z"
+    metersPerUnit = 1
+    startTimeCode = 0
+    endTimeCode = 3
+    timeCodesPerSecond = 10
+)
+def Xform "World"
+{
+    def Xform "Rig"
+    {
+        double3 xformOp:translate.timeSamples = { 0: (0, 0, 1.5), 3: (0, 1, 1.5) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        def Camera "Left"
+        {
+            float3 xformOp:rotateXYZ = (90, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+        }
+        def Camera "Right"
+        {
+            double3 xformOp:translate = (0.5, 0, 0)
+            float3 xformOp:rotateXYZ = (90, 0, 0)
+            uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+        }
+    }
+    def Cube "Block"
+    {
+        double size = 1
+        double3 xformOp:translate = (2, 12, 0.5)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Cube "Car"
+    {
+        double size = 2
+        double3 xformOp:translate.timeSamples = { 0: (-2, 9, 1), 3: (1, 10, 1) }
+        float xformOp:rotateZ.timeSamples = { 0: 20, 3: 40 }
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]
+    }
+    def Mesh "Ground"
+    {
+        point3f[] points = [(-50, -50, 0), (50, -50, 0), (50, 200, 0), (-50, 200, 0)]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        token subdivisionScheme = "none"
+    }
+    def DomeLight "Sky"
+    {
+        float inputs:intensity = 1000
+    }
+}
+"""
+SMALL = dict(resolution=(48, 28), samples=2, quality="reference", fog="clear", adaptation=0)
+
+
+def stage_of(tmp_path, text=MOVING):
+    (tmp_path / "a.usda").write_text(text)
+    return tmp_path / "a.usda"
+
+
+@pytest.mark.slow
+def test_a_frame_of_a_clip_is_the_frame_alone(tmp_path):
+    """All of its light, noise and labels, though in the clip it was begun from the frame before."""
+    path = stage_of(tmp_path)
+    sf.bake(path, tmp_path / "clip", frames="0:3", **SMALL)
+    sf.bake(path, tmp_path / "alone", frame=2, **{key: value for key, value in SMALL.items() if key != "adaptation"})
+    one, other = tmp_path / "clip" / "000002", tmp_path / "alone"
+    np.testing.assert_array_equal(*(tifffile.imread(next(folder.rglob("raw.dng"))) for folder in (one, other)))
+    for name in ("labels.exr", "labels.json", "sky/clear/radiance.exr", "sky/clear/instances.json"):
+        name = name.replace("sky", next(path.parent.parent.name for path in one.rglob("radiance.exr")))
+        if name.endswith(".json"):
+            assert json.loads((one / name).read_text()) == json.loads((other / name).read_text())
+            continue
+        mine, theirs = (writers.read_exr(folder / name) for folder in (one, other))
+        np.testing.assert_array_equal(mine.pixels, theirs.pixels)
+
+
+@pytest.mark.slow
+def test_sampling_noise_stands_still_over_a_view_that_does(tmp_path):
+    """Radiance of two frames of a static view is the same to the bit; RAW is not."""
+    text = (
+        MOVING.replace("3: (0, 1, 1.5)", "3: (0, 0, 1.5)")
+        .replace("3: (1, 10, 1)", "3: (-2, 9, 1)")
+        .replace("3: 40", "3: 20")
+    )
+    sf.bake(stage_of(tmp_path, text), tmp_path / "clip", frames="0:1", **SMALL)
+    light = [writers.read_exr(path).pixels for path in sorted((tmp_path / "clip").rglob("radiance.exr"))]
+    raws = [tifffile.imread(path) for path in sorted((tmp_path / "clip").glob("0*/**/raw.dng"))]
+    assert len(light) == len(raws) == 2
+    np.testing.assert_array_equal(*light)
+    assert (raws[0] != raws[1]).mean() > 0.5
+
+
+@pytest.mark.slow
+def test_a_clip_of_a_rig_is_a_clip_for_each_camera(tmp_path):
+    """`rig.json` lists them, and exports find all their pictures."""
+    manifests = sf.bake(stage_of(tmp_path), tmp_path / "out", frames="0:1", camera="/World/Rig", **SMALL).manifest
+    assert [len(one["frames"]) for one in manifests] == [2, 2]
+    listed = json.loads((tmp_path / "out" / "rig.json").read_text())["cameras"]
+    assert [row["folder"] for row in listed] == ["Left", "Right"]
+    found = [(one.camera, one.moment.frame) for one in pictures(tmp_path / "out")]
+    assert found == [(f"/World/Rig/{eye}", number) for eye in ("Left", "Right") for number in (0, 1)]
+
+
+@pytest.mark.slow
+def test_a_clip_of_one_frame_has_no_flow_and_a_rate(tmp_path):
+    manifest = sf.bake(stage_of(tmp_path), tmp_path / "out", frames="2:2", **SMALL).manifest
+    assert [row["time_code"] for row in manifest["frames"]] == [2.0] and manifest["frames_per_s"] == 10.0
+    assert not list((tmp_path / "out").rglob("flow.exr"))
+    assert json.loads((tmp_path / "out" / "tracks.json").read_text())["tracks"] == []
+
+
+@pytest.mark.slow
+def test_frames_outside_of_the_stage_are_told(tmp_path):
+    manifest = sf.bake(stage_of(tmp_path), tmp_path / "out", frames="3:4", **SMALL).manifest
+    assert [text for text in manifest["warnings"] if "outside" in text] == [
+        "1 of 2 frames lie outside of the stage's time codes 0 to 3, beyond which nothing moves"
+    ]
+
+
+def test_a_stage_without_a_rate_makes_no_clip(tmp_path):
+    path = stage_of(tmp_path, MOVING.replace("timeCodesPerSecond = 10", "timeCodesPerSecond = 0"))
+    done = run("bake", path, "-o", tmp_path / "out", "--frames", "0:3")
+    assert done.returncode == 2 and "timeCodesPerSecond is 0, so that its frames have no time" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_clip_too_large_for_its_disk_ends_after_two_frames(tmp_path, monkeypatch):
+    """With hours and gigabytes in a line; what is finished stays."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9 - 10**6, 10**6))
+    with pytest.raises(OutputError, match=r"10000 frames take about .* GB more, and 0.001 GB are free"):
+        sf.bake(stage_of(tmp_path), tmp_path / "out", frames="0:9999", **SMALL)
+    assert len(list((tmp_path / "out").glob("0*/bake.json"))) == 2

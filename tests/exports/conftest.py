@@ -118,6 +118,12 @@ def bake(folder: Path, source=None) -> Baked:
 
 
 @pytest.fixture(scope="session")
+def trace():
+    """`bake` itself: trace(folder, scene) leaves the files of a bake."""
+    return bake
+
+
+@pytest.fixture(scope="session")
 def baked(tmp_path_factory):
     return bake(tmp_path_factory.mktemp("set") / "street")
 

@@ -32,6 +32,13 @@ def write_png(path: Path, image: Image, *, bits: Literal[8, 16] = 8) -> None:
     _write(path, _coded(path, "PNG", image, bits), {"oiio:ColorSpace": "sRGB", "png:compressionLevel": 4})
 
 
+def png16(pixels: np.ndarray) -> bytes:
+    """(H, W, 3) uint16 as PNG: numbers, not colours."""
+    import imagecodecs
+
+    return bytes(imagecodecs.png_encode(np.ascontiguousarray(pixels), level=4))
+
+
 def write_jpeg(
     path: Path, image: Image, *, quality: int = 95, subsampling: Literal["4:2:0", "4:2:2", "4:4:4"] = "4:2:0"
 ) -> None:

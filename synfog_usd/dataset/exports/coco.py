@@ -1,7 +1,8 @@
 """COCO: boxes and masks of things, one file of annotations for each split.
 
 Masks are run lengths, exact, also where `iscrowd` is 0: pycocotools and what builds on it read them.  Ids of categories
-are Cityscapes' label ids.  `bbox` and `area` are of visible pixels; what is amodal stands under `synfog`.
+are Cityscapes' label ids.  `bbox` and `area` are of visible pixels; what is amodal stands under `synfog`.  Of a clip
+each picture has its `video_id` and `frame_id`, and each annotation its `track_id`.
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ def _write_split(
 ) -> None:
     """The annotations as they come, then the shorter list of pictures; memory does not grow with the annotations."""
     images: list[dict[str, Any]] = []
+    videos: dict[str, int] = {}
     number = 0
     with path.open("w") as handle:
         handle.write('{"annotations": [')
@@ -76,9 +78,15 @@ def _write_split(
                     "synfog": {**picture.metadata(), "camera": dict(labels.camera), "lanes": labels.lanes},
                 }
             )
+            if picture.moment is not None:
+                video = videos.setdefault(picture.sequence, len(videos) + 1)
+                images[-1] |= {"video_id": video, "frame_id": picture.moment.frame}
+            tracks = picture.tracks()
             for row in taxonomy.objects(picture, chosen):
                 number += 1
-                text = json.dumps(_annotation(number, len(images), row, labels.mask(row["id"])), allow_nan=False)
+                annotation = _annotation(number, len(images), row, labels.mask(row["id"]))
+                annotation |= {"track_id": tracks[row["path"]]} if row["path"] in tracks else {}
+                text = json.dumps(annotation, allow_nan=False)
                 handle.write((",\n" if number > 1 else "\n") + text)
         categories = [{"id": kind.id, "name": kind.name, "supercategory": "thing"} for kind in taxonomy.kinds(chosen)]
         rest = {
@@ -86,6 +94,7 @@ def _write_split(
             "categories": categories,
             "info": {"description": "made by synfog-usd"},
             "licenses": [],
+            **({"videos": [{"id": id_, "name": name} for name, id_ in videos.items()]} if videos else {}),
         }
         handle.write("\n], " + json.dumps(rest, allow_nan=False)[1:] + "\n")
 

@@ -50,7 +50,7 @@ class ExportFolder:
         return self.root / name
 
     def png(self, name: str, pixels: npt.NDArray[Any]) -> Path:
-        """Write (H, W) or (H, W, 3) uint8, or (H, W) uint16."""
+        """Write (H, W) or (H, W, 3) of uint8 or uint16."""
         files.write_bytes(self.root / name, png_bytes(pixels))
         return self.root / name
 
@@ -83,7 +83,11 @@ class ExportFolder:
 
 
 def png_bytes(pixels: npt.NDArray[Any]) -> bytes:
-    """(H, W) or (H, W, 3) uint8, or (H, W) uint16, as PNG."""
+    """(H, W) or (H, W, 3) of uint8 or uint16 as PNG."""
+    if pixels.ndim == 3 and pixels.dtype == np.uint16:  # which Pillow does not write
+        from synfog_usd.camera.writers.screen import png16
+
+        return png16(pixels)
     from PIL import Image
 
     data = io.BytesIO()

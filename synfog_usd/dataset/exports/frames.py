@@ -22,6 +22,7 @@ from synfog_usd.base.arrays import Array, Pixels
 from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.dataset import stereo
 from synfog_usd.dataset.rig import RIG
+from synfog_usd.dataset.sequence import SEQUENCE
 from synfog_usd.dataset.sets import index
 from synfog_usd.dataset.sets.index import PictureKey
 
@@ -37,16 +38,19 @@ class LabelledPicture(PictureKey):
 
     Attributes:
         files: name -> path; labels.exr, labels.json, instances.json, radiance.exr, layers.exr, and
-            what the pipeline puts out.
+            what the pipeline puts out; of a clip also flow.exr and tracks.json.
+        moment: when in a clip it was taken; None for a picture of none.
     """
 
     files: Mapping[str, Path] = field(repr=False)
+    moment: Moment | None = None
 
     @property
     def name(self) -> str:
         """Its name among all pictures of the set; letters, digits, dots and hyphens."""
         camera = self.camera.rpartition("/")[2]
-        parts = [f"{self.scene:06}", self.lighting, *([camera] if camera else []), self.fog, self.pipeline]
+        frame = [] if self.moment is None else [f"f{self.moment.frame:06}"]
+        parts = [f"{self.scene:06}", *frame, self.lighting, *([camera] if camera else []), self.fog, self.pipeline]
         return "-".join(plain(part) for part in parts)
 
     @property
@@ -126,7 +130,58 @@ class LabelledPicture(PictureKey):
             "fog": self.fog,
             "mor_m": None if self.clear else self.mor_m,
             "pipeline": self.pipeline,
+            **({} if self.moment is None else {"frame": self.moment.frame, "time_s": self.moment.time_s}),
         }
+
+    @property
+    def sequence(self) -> str:
+        """The name that all frames of its clip have in common."""
+        return (self if self.moment is None else replace(self, moment=None)).name
+
+    def tracks(self) -> Mapping[str, int]:
+        """Path of an instance -> number of its track, the same in all frames of a clip.
+
+        Raises:
+            OutputError: its clip has no tracks.
+        """
+        return _tracks(self.files["tracks.json"]) if "tracks.json" in self.files else {}
+
+    def flow(self, way: str) -> Array | None:
+        """(H, W, 3) columns and rows [px] to the next frame, or the one before, and whether that shows the point; see
+        `dataset.flow`.  None where there is none, as before the first frame.
+
+        Args:
+            way: 'forward' or 'backward'.
+        """
+        from synfog_usd.base.image import Quantity
+        from synfog_usd.camera import writers
+
+        path = self.files.get("flow.exr")
+        if path is None:
+            return None
+        names = [f"{way}.{channel}" for channel in ("X", "Y", "seen")]
+        image = writers.read_exr(path, quantity=Quantity.DATA)
+        if not set(names) <= set(image.channels):
+            return None
+        return np.asarray(image.pixels[:, :, [image.channels.index(name) for name in names]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When in a clip a picture was taken.
+
+    Attributes:
+        frame: its number, from 0.
+        per_s: frames a second.
+    """
+
+    frame: int
+    per_s: float
+
+    @property
+    def time_s(self) -> float:
+        """Since the clip began [s]."""
+        return self.frame / self.per_s
 
 
 @dataclass(frozen=True)
@@ -211,19 +266,19 @@ def read_labels(picture: Path, listing: Path) -> Labels:
 
 
 def pictures(out: Path) -> Iterator[LabelledPicture]:
-    """Every picture of a set, or of a folder that `bake` left for one camera or several: that is scene 0 of the split
-    `all`.
+    """Every picture of a set, or of a folder that `bake` left for one camera or several, or for the frames of a clip:
+    that is scene 0 of the split `all`.
 
     Raises:
         ParameterError: neither lies there.
         OutputError: a damaged manifest.
     """
-    if (out / "bake.json").is_file():
-        yield from _of_bake(out)
-        return
     if (out / RIG).is_file():
         for row in _json(out / RIG)["cameras"]:
-            yield from _of_bake(out / row["folder"], row["camera"])
+            yield from _of_folder(out / row["folder"], row["camera"])
+        return
+    if (out / "bake.json").is_file() or (out / SEQUENCE).is_file():
+        yield from _of_folder(out)
         return
     for entry in index.pictures(out):
         yield LabelledPicture(
@@ -263,6 +318,53 @@ def with_right(entries: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPic
         for number, (entry, right) in enumerate(zip(scene, rights, strict=True)):
             if number not in rights:
                 yield entry, None if right is None else scene[right]
+
+
+def _of_folder(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
+    """The pictures of one camera's bake, or of the frames of its clip."""
+    if not (out / SEQUENCE).is_file():
+        yield from _of_bake(out, camera)
+        return
+    clip = _json(out / SEQUENCE)
+    try:
+        rows = [
+            (out / row["folder"], Moment(int(row["number"]), float(clip["frames_per_s"]))) for row in clip["frames"]
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise OutputError(f"{out / SEQUENCE}: no manifest of a clip ({error!r}); bake again") from error
+    tracks = {"tracks.json": out / "tracks.json"} if (out / "tracks.json").is_file() else {}
+    for folder, moment in rows:
+        flow = {"flow.exr": folder / "flow.exr"} if (folder / "flow.exr").is_file() else {}
+        for picture in _of_bake(folder, camera):
+            yield replace(picture, moment=moment, files={**picture.files, **tracks, **flow})
+
+
+def clips(entries: Iterable[LabelledPicture], layout: str) -> dict[str, list[LabelledPicture]]:
+    """The pictures of each clip by its name, in the order of time.
+
+    Raises:
+        ParameterError: a picture is of no clip, or its clip has no tracks.
+    """
+    result: dict[str, list[LabelledPicture]] = {}
+    for picture in entries:
+        if picture.moment is None:
+            raise ParameterError(f"{layout} is of clips, and {picture.name} is a picture by itself; bake with --frames")
+        if "tracks.json" not in picture.files:
+            raise ParameterError(
+                f"{picture.sequence}: this clip has no tracks.json; bake it with --quality standard or better, and "
+                f"through a lens without distortion"
+            )
+        result.setdefault(picture.sequence, []).append(picture)
+    return result
+
+
+@functools.lru_cache(maxsize=2)
+def _tracks(path: Path) -> Mapping[str, int]:
+    content = _json(path)
+    try:
+        return {str(row["path"]): int(row["track"]) for row in content["tracks"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise OutputError(f"{path}: no tracks of a clip ({error!r}); bake again") from error
 
 
 def _of_bake(out: Path, camera: str = "") -> Iterator[LabelledPicture]:

@@ -2,12 +2,13 @@
 
     GALLERY/index.html app.js style.css     the page
     GALLERY/data/index.js                   one row for each picture, as numbers
-    GALLERY/data/views/000/12.js            of one view (scene, lighting, camera): things, planes, RAW, histograms
+    GALLERY/data/views/000/12.js            of one view (scene, frame, lighting, camera): things, planes, RAW
     GALLERY/thumbs/000/345.jpg              one for each picture
 
 A browser lets a page from disk read no file, but run scripts and show pictures.  So data are scripts, and what
 the pointer reads lies in them as lossless PNG.  Planes and RAW are thinned to `WIDEST` pixels, without averaging.  The
-pictures themselves stay where the set has them, and the page links to them.
+pictures themselves stay where the set has them, and the page links to them.  A clip plays, with a colour for each
+track.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ WIDEST = 640
 A_FOLDER = 1000
 STEPS_PER_M = 64.0
 """Depth in the page's planes: up to 1,023 m."""
+
+FASTEST = 0.05
+"""Flow, as a share of the picture's width, from which on its colour is full."""
 
 BINS = 64
 OF_TEXT = ("split", "source", "lighting", "fog", "pipeline", "camera")
@@ -95,22 +99,30 @@ def row_of(picture: LabelledPicture, view: int) -> dict[str, Any]:
     classes = sorted({row["label"] for row in taxonomy.objects(picture)})
     values = {name: getattr(picture, name) for name in OF_TEXT}
     mor = None if picture.clear else picture.mor_m
-    return {"name": picture.name, "scene": picture.scene, **values, "mor_m": mor, "classes": classes, "view": view}
+    row = {"name": picture.name, "scene": picture.scene, **values, "mor_m": mor, "classes": classes, "view": view}
+    if picture.moment is not None:
+        row |= {"clip": picture.sequence, "frame": picture.moment.frame, "per_s": picture.moment.per_s}
+    return row
 
 
 def write_index(folder: ExportFolder, rows: Iterable[dict[str, Any]], *, title: str) -> None:
     """Write `data/index.js`: words once, and for each picture a short row of numbers."""
     words: dict[str, dict[str, int]] = {name: {} for name in OF_TEXT}
     classes: dict[str, int] = {}
+    clips: dict[tuple[str, float], int] = {}
     shards = []
     for row in rows:
         bits = sum(1 << classes.setdefault(name, len(classes)) for name in row["classes"])
         numbers = [words[name].setdefault(row[name], len(words[name])) for name in OF_TEXT]
-        shards.append([row["name"], row["scene"], row["view"], row["mor_m"], bits, *numbers])
+        moment = []
+        if "clip" in row:
+            moment = [clips.setdefault((row["clip"], row["per_s"]), len(clips)), row["frame"]]
+        shards.append([row["name"], row["scene"], row["view"], row["mor_m"], bits, *numbers, *moment])
     data = {
         "title": title,
         "words": {name: list(values) for name, values in words.items()},
         "classes": list(classes),
+        "per_s": [per_s for _, per_s in clips],
         "colours": {kind.name: list(kind.colour) for kind in LABELS.values()},
         "rows": shards,
     }
@@ -118,7 +130,7 @@ def write_index(folder: ExportFolder, rows: Iterable[dict[str, Any]], *, title: 
 
 
 def _view_of(picture: LabelledPicture) -> tuple[Any, ...]:
-    return picture.scene, picture.lighting, picture.camera
+    return picture.scene, picture.moment, picture.lighting, picture.camera
 
 
 def _write_thumb(folder: ExportFolder, number: int, source: Path) -> None:
@@ -143,6 +155,7 @@ def _write_view(folder: ExportFolder, number: int, shown: Sequence[LabelledPictu
     fogs: dict[str, Any] = {}
     views = []
     boxed = [row for row in labels.instances if row["pixels"] and row["label"] in taxonomy.NAMES]
+    tracks = shown[0].tracks()
     for picture in shown:
         if picture.fog not in fogs:
             fogs[picture.fog] = _of_fog(picture, step)
@@ -162,8 +175,12 @@ def _write_view(folder: ExportFolder, number: int, shown: Sequence[LabelledPictu
     data = {
         "size": list(labels.size_px),
         "step": step,
-        "things": [{name: row[name] for name in TOLD if name in row} for row in boxed],
-        "planes": _planes(labels, step),
+        "things": [
+            {name: row[name] for name in TOLD if name in row}
+            | ({"track": tracks[row["path"]]} if row["path"] in tracks else {})
+            for row in boxed
+        ],
+        "planes": _planes(labels, step) | _flow(shown[0], step),
         "fogs": fogs,
         "pictures": views,
     }
@@ -186,6 +203,21 @@ def _planes(labels: Labels, step: int) -> dict[str, str]:
         "semantic": _uri(labels.semantic[::step, ::step].astype(np.uint8)),
         "depth": _uri(_pair(quantised(labels.depth_m[::step, ::step], STEPS_PER_M))),
     }
+
+
+def _flow(picture: LabelledPicture, step: int) -> dict[str, str]:
+    """Flow to the next frame as colours, the hue its direction and the strength its length; the last frame has what led
+    to it.
+    """
+    ahead, back = picture.flow("forward"), picture.flow("backward")
+    if ahead is None and back is None:
+        return {}
+    way = ahead[::step, ::step, :2] if ahead is not None else -back[::step, ::step, :2]  # type: ignore[index]
+    hue = np.arctan2(way[..., 1], way[..., 0]) / (2.0 * np.pi) % 1.0
+    strength = np.minimum(np.hypot(way[..., 0], way[..., 1]) / (FASTEST * picture.labels.size_px[0]), 1.0)
+    pure = np.clip(np.abs((hue[..., None] + [1.0, 2.0 / 3.0, 1.0 / 3.0]) % 1.0 * 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    colours = 1.0 + strength[..., None] * (pure - 1.0)
+    return {"flow": _uri(np.rint(255.0 * colours).astype(np.uint8))}
 
 
 def _raw(picture: LabelledPicture) -> dict[str, Any] | None:

@@ -47,12 +47,12 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         labels.refuse_fisheye("KITTI")
         folder.place(picture.screen, f"{picture.split}/image_2/{stem}{picture.screen.suffix}")
         rows = [
-            _row(row, MISC if row.get("visibility") not in chosen.drop else "DontCare")
+            row_of(row, MISC if row.get("visibility") not in chosen.drop else "DontCare")
             for row in taxonomy.objects(picture, Boxed(classes=chosen.classes))
         ]
         folder.text(f"{picture.split}/label_2/{stem}.txt", "".join(rows))
         baseline_m = labels.metadata["stereo"]["baseline_m"] if right else 0.0
-        folder.text(f"{picture.split}/calib/{stem}.txt", _calibration(labels.camera, baseline_m))
+        folder.text(f"{picture.split}/calib/{stem}.txt", calibration(labels.camera, baseline_m))
         if right is not None and labels.disparity_px is not None and labels.shared is not None:
             folder.place(right.screen, f"{picture.split}/image_3/{stem}{right.screen.suffix}")
             both = np.where(labels.shared, labels.disparity_px, np.nan)
@@ -70,7 +70,8 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     ]
 
 
-def _row(row: dict[str, Any], rest: str) -> str:
+def row_of(row: dict[str, Any], rest: str) -> str:
+    """The line of a thing; `rest` is the type of classes that the devkit does not know, or 'DontCare'."""
     x, y, right, bottom = taxonomy.corners(row.get("amodal_box_px") or row["box_px"])
     box = f"{x:.2f} {y:.2f} {right:.2f} {bottom:.2f}"
     kind = rest if rest == "DontCare" else TYPES.get(row["label"], rest)
@@ -94,19 +95,26 @@ def upright(row: dict[str, Any]) -> tuple[tuple[float, float, float], np.ndarray
         it is no person.
     """
     size = np.array(row["box_3d"]["size_m"])
-    world, camera = (_matrix(row["pose"][name]) for name in ("world_wxyz", "camera_wxyz"))
-    up = int(np.argmax(np.abs(world[2])))
-    across = [axis for axis in range(3) if axis != up]
-    sideways = row["label"] not in UPRIGHT and size[min(across)] > 1.2 * size[max(across)]
-    ahead = min(across) if sideways else max(across)
-    side = next(axis for axis in across if axis != ahead)
+    world, camera = (matrix_of(row["pose"][name]) for name in ("world_wxyz", "camera_wxyz"))
+    up, side, ahead = axes_of(row)
     down = -camera[:, up] * np.sign(world[2, up])
     place = np.array(row["box_3d"]["centre_camera_m"]) + down * size[up] / 2.0
     forward = camera[:, ahead]
     return (size[up], size[side], size[ahead]), place, math.atan2(-forward[2], forward[0])
 
 
-def _matrix(wxyz: list[float]) -> np.ndarray:
+def axes_of(row: dict[str, Any]) -> tuple[int, int, int]:
+    """Which of a model's own axes goes up, which aside, and which ahead, see `upright`."""
+    size, world = row["box_3d"]["size_m"], matrix_of(row["pose"]["world_wxyz"])
+    up = int(np.argmax(np.abs(world[2])))
+    across = [axis for axis in range(3) if axis != up]
+    sideways = row["label"] not in UPRIGHT and size[min(across)] > 1.2 * size[max(across)]
+    ahead = min(across) if sideways else max(across)
+    return up, next(axis for axis in across if axis != ahead), ahead
+
+
+def matrix_of(wxyz: list[float]) -> np.ndarray:
+    """(3, 3) of a quaternion."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(wxyz, scalar_first=True).as_matrix())
@@ -116,7 +124,8 @@ def _wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _calibration(camera: Mapping[str, Any], baseline_m: float) -> str:
+def calibration(camera: Mapping[str, Any], baseline_m: float = 0.0) -> str:
+    """A file of `calib`; the right eye stands a baseline beside the left."""
     matrix = np.array(camera.get("camera_matrix_px", np.eye(3)))
     places = [[0.0, 0.0, 0.0], [-baseline_m, 0.0, 0.0]]
     eyes = [" ".join(f"{value:.12e}" for value in np.c_[matrix, matrix @ np.array(place)].ravel()) for place in places]

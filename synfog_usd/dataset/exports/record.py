@@ -38,6 +38,7 @@ class Exporter:
         reader: the library or program that reads it.
         depth: what its depth means, or ''.
         boxes: whether it tells of single things; else labels are of pixels.
+        clips: whether it is of clips alone.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Exporter:
     reader: str
     depth: str
     boxes: bool = True
+    clips: bool = False
 
     @property
     def module(self) -> str:
@@ -90,7 +92,7 @@ EXPORTERS = {
         ),
         Exporter(
             "vkitti2",
-            "Virtual KITTI 2's tree: pictures, depth, classes, instances, poses, boxes.",
+            "Virtual KITTI 2's tree: pictures, depth, classes, instances, poses, boxes; of clips also optical flow.",
             "its published loaders",
             "planar",
         ),
@@ -103,6 +105,21 @@ EXPORTERS = {
         ),
         Exporter("webdataset", "Tar shards, to a folder or any URL of fsspec.", "webdataset", "planar"),
         Exporter("huggingface", "An image folder with metadata.jsonl.", "datasets", "planar"),
+        Exporter(
+            "kitti-tracking",
+            "Clips with tracks in the columns of the tracking devkit, and masks of MOTS.",
+            "KITTI's tracking devkit",
+            "",
+            clips=True,
+        ),
+        Exporter("nuscenes", "Clips as nuScenes' tables, cameras alone.", "nuscenes-devkit", "", clips=True),
+        Exporter(
+            "mcap",
+            "Clips in Foxglove's schemas: pictures, calibration, places, boxes in space.",
+            "mcap",
+            "",
+            clips=True,
+        ),
     )
 }
 

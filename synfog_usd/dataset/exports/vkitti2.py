@@ -1,7 +1,8 @@
 """Virtual KITTI 2: a tree for each scene and variant, with text files of cameras, boxes and poses.
 
-A variant is a lighting and fog.  Frames count a scene's cameras and pipelines.  Depth is planar, in centimetres.
-Instance pictures hold trackID + 1, in 16 bits, since a street has more than 255; `trackID` is our instance id - 1.
+A variant is a lighting and fog.  Frames are those of a clip, or else count a scene's cameras and pipelines.  Depth is
+planar, in centimetres.  Instance pictures hold trackID + 1, in 16 bits, since a street has more than 255; `trackID` is
+our instance id - 1, which a clip has in common.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             flush()
         scene = picture.scene
         tree = f"Scene{picture.scene:02}/{plain(picture.lighting)}-{plain(picture.fog)}"
-        frame = int(names.stem(picture, "").rpartition("_")[2])
+        frame = picture.moment.frame if picture.moment else int(names.stem(picture, "").rpartition("_")[2])
         base = f"{tree}/frames"
         for number, eye in enumerate([picture, *([right] if right else [])]):
             labels, which = eye.labels, f"Camera_{number}"
@@ -64,15 +65,34 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             folder.png(f"{base}/classSegmentation/{which}/classgt_{frame:05}.png", palette[labels.semantic])
             ids = labels.instance.astype(np.uint16)
             folder.png(f"{base}/instanceSegmentation/{which}/instancegt_{frame:05}.png", ids)
+            for way in ("forward", "backward"):
+                if (flow := eye.flow(way)) is not None:
+                    place = f"{base}/{way}Flow/{which}/{way}Flow_{frame:05}.png"
+                    folder.png(place, coded_flow(flow[:, :, :2]))
             parts = texts.setdefault(tree, {name: [] for name in HEADS})
             _write_rows(parts, frame, number, eye, chosen)
     flush()
     return [
         "Depth is planar, uint16 in cm: what lies beyond 655.34 m is 65535, where the original has the sky too; ours "
         "is 0.",
-        "Classes and colours are Cityscapes'; there is no optical flow. Camera_1 is the right eye of a pair.",
+        "Classes and colours are Cityscapes'. Camera_1 is the right eye of a pair.",
+        "Optical flow is of clips alone, also where the other frame does not show the point, and of the sky.",
         "World space is the stage's, in metres with Y down: x, -z, y of ours.",
     ]
+
+
+def coded_flow(flow: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint16 of a flow (H, W, 2) [px] to the right and down: both as shares of the picture, and whether it is
+    known.
+
+    Virtual KITTI 2 puts -(W - 1) to W - 1 columns on 0 to 65535 of the first colour, rows likewise on the second; the
+    third is 0 where there is none.
+    """
+    height, width = flow.shape[:2]
+    share = flow / (np.array([width, height]) - 1.0)
+    known: np.ndarray = np.all(np.abs(share) <= 1.0, axis=-1)
+    steps = np.rint((np.where(known[..., None], share, 0.0) + 1.0) * 0.5 * 65535.0)
+    return np.concatenate([steps, 65535.0 * known[..., None]], axis=-1).astype(np.uint16)
 
 
 def _write_rows(parts: dict[str, list[str]], frame: int, number: int, picture: LabelledPicture, chosen: Boxed) -> None:

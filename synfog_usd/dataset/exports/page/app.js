@@ -6,10 +6,11 @@
   const FIELDS = ["split", "source", "lighting", "fog", "pipeline", "camera"]; // as row[5 + n] counts them
   const NAMED = { source: "recipe" };
   const NAME = 0, SCENE = 1, VIEW = 2, MOR = 3, BITS = 4, FIRST = 5;
+  const CLIP = FIRST + FIELDS.length, FRAME = CLIP + 1; // of rows that are frames of a clip
   const THUMBS = 1000;
   const COLOUR = { visible: "#4cc38a", faint: "#ffb224", invisible: "#ff6369", unknown: "#9aa4ad" };
   const DASH = { visible: [], faint: [6, 3], invisible: [2, 3], unknown: [1, 3] };
-  const OVERLAYS = ["boxes", "amodal boxes", "masks", "classes", "depth", "transmittance"];
+  const OVERLAYS = ["boxes", "amodal boxes", "masks", "classes", "depth", "transmittance", "flow"];
   let chosen = {};       // filter -> index of a word, or of a class
   let shown = [];        // numbers of the rows that pass
   let opened = -1;       // number of the row whose page is open
@@ -200,6 +201,7 @@
         return;
       }
     }
+    at("play").hidden = row[CLIP] === undefined;
     const pipeline = word(row, "pipeline");
     series = view.pictures.filter((picture) => picture.pipeline === pipeline);
     series.sort((a, b) => (b.mor_m === null ? Infinity : b.mor_m) - (a.mor_m === null ? Infinity : a.mor_m) || 0);
@@ -215,8 +217,37 @@
     document.body.dataset.ready = row[NAME];
   }
 
+  // ---- clips
+
+  let playing = 0; // ticket of what plays; 0 where nothing does
+  let tickets = 0;
+
+  async function play() {
+    if (playing || opened < 0 || DATA.rows[opened][CLIP] === undefined) { stop(); return; }
+    const ticket = playing = ++tickets, clip = DATA.rows[opened][CLIP];
+    const frames = DATA.rows.map((_, number) => number).filter((number) => DATA.rows[number][CLIP] === clip);
+    frames.sort((a, b) => DATA.rows[a][FRAME] - DATA.rows[b][FRAME]);
+    at("play").textContent = "Stop";
+    while (ticket === playing && frames.includes(opened)) {
+      const begun = performance.now(), next = frames[(frames.indexOf(opened) + 1) % frames.length];
+      history.replaceState(null, "", "#shot=" + encodeURIComponent(DATA.rows[next][NAME]));
+      await open(next);
+      await new Promise((done) => setTimeout(done, Math.max(0, 1000 / DATA.per_s[clip] - (performance.now() - begun))));
+    }
+    if (ticket === playing) stop();
+  }
+
+  function stop() {
+    playing = 0;
+    at("play").textContent = "Play";
+  }
+
+  // Neighbours differ most where the hue goes on by the golden ratio.
+  const trackHue = (track) => Math.round(360 * (track * 0.6180339887 % 1));
+
   function close() {
     const from = opened;
+    stop();
     opened = -1;
     view = null;
     series = [];
@@ -306,9 +337,9 @@
     const canvas = at("plane"), ids = view.planes.id, width = ids.width, height = ids.height;
     canvas.width = width;
     canvas.height = height;
-    const kind = ["transmittance", "depth", "classes", "masks"].find((name) => overlays.has(name));
+    const kind = ["flow", "transmittance", "depth", "classes", "masks"].find((name) => overlays.has(name));
     const context = canvas.getContext("2d");
-    if (!kind) return;
+    if (!kind || (kind === "flow" && !view.planes.flow)) return;
     const image = context.createImageData(width, height), states = new Map();
     for (const thing of view.things) states.set(thing.id, stateOf(thing));
     const classColour = semanticColours();
@@ -318,6 +349,8 @@
       if (kind === "masks") {
         const state = states.get(idAt(ids, x, y));
         if (state) { const hex = COLOUR[state]; colour = [1, 3, 5].map((c) => parseInt(hex.slice(c, c + 2), 16)); alpha = 130; }
+      } else if (kind === "flow") {
+        colour = view.planes.flow.bytes.subarray(n, n + 3);
       } else if (kind === "classes") {
         colour = classColour[view.planes.semantic.bytes[n]] || [0, 0, 0];
       } else if (kind === "depth") {
@@ -340,16 +373,17 @@
     canvas.width = Math.round(canvas.clientWidth * ratio);
     canvas.height = Math.round(canvas.clientHeight * ratio);
     const context = canvas.getContext("2d"), scale = canvas.width / view.size[0];
-    const box = (rectangle, state, bold) => {
-      context.strokeStyle = COLOUR[state];
+    const box = (rectangle, thing, bold) => {
+      const state = stateOf(thing);
+      context.strokeStyle = thing.track === undefined ? COLOUR[state] : `hsl(${trackHue(thing.track)} 85% 60%)`;
       context.lineWidth = (bold ? 3 : 1.5) * ratio;
       context.setLineDash(DASH[state].map((length) => length * ratio));
       context.strokeRect(rectangle[0] * scale, rectangle[1] * scale, rectangle[2] * scale, rectangle[3] * scale);
     };
     for (const thing of view.things) {
       const bold = thing.id === highlighted;
-      if (overlays.has("amodal boxes") && thing.amodal_box_px) box(thing.amodal_box_px, stateOf(thing), bold);
-      if (overlays.has("boxes") || bold) box(thing.box_px, stateOf(thing), bold);
+      if (overlays.has("amodal boxes") && thing.amodal_box_px) box(thing.amodal_box_px, thing, bold);
+      if (overlays.has("boxes") || bold) box(thing.box_px, thing, bold);
     }
   }
 
@@ -395,7 +429,7 @@
   }
 
   function toggle(name, on) {
-    const planes = ["masks", "classes", "depth", "transmittance"];
+    const planes = ["masks", "classes", "depth", "transmittance", "flow"];
     if (on && planes.includes(name)) planes.forEach((other) => overlays.delete(other));
     if (on) overlays.add(name); else overlays.delete(name);
     for (const each of OVERLAYS) at("overlay-" + each.replace(" ", "-")).checked = overlays.has(each);
@@ -430,6 +464,7 @@
   at("back").addEventListener("click", () => { location.hash = ""; });
   at("previous").addEventListener("click", () => step(-1));
   at("next").addEventListener("click", () => step(1));
+  at("play").addEventListener("click", play);
   at("slider").addEventListener("input", slide);
   at("slider").addEventListener("change", () => { at("slider").value = Math.round(Number(at("slider").value)); slide(); });
   at("marks").addEventListener("pointermove", point);
@@ -443,6 +478,7 @@
     if (event.key === "Escape") location.hash = "";
     else if (event.key >= "1" && event.key <= String(OVERLAYS.length)) toggle(OVERLAYS[Number(event.key) - 1], !overlays.has(OVERLAYS[Number(event.key) - 1]));
     else if (inField) return;
+    else if (event.key === " " && document.activeElement.tagName !== "BUTTON") { event.preventDefault(); play(); }
     else if (event.key === "ArrowLeft") step(-1);
     else if (event.key === "ArrowRight") step(1);
     else if (event.key === "+" || event.key === "-") {
