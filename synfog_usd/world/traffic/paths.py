@@ -26,6 +26,8 @@ from synfog_usd.world.spec import Site
 from synfog_usd.world.traffic.signals import MAIN, SIDE
 
 STEP_M = 0.5
+FAR_M = 15.0
+"""From a path; what is farther away is not beside it."""
 SIDEWAYS = 2.9
 """Acceleration at which drivers take bends [m/s2]: 0.3 g."""
 EASING = 1.5
@@ -99,12 +101,13 @@ class Path:
         )
 
     def nearest(self, xy: Array) -> tuple[Array, Array]:
-        """Station and offset to the right [m] of (..., 2) places; the offset is inf beyond the ends."""
-        _, k = self._tree.query(xy)
+        """Station and offset to the right [m] of (..., 2) places; the offset is inf beyond the ends and FAR_M away."""
+        away, k = self._tree.query(xy, distance_upper_bound=FAR_M)
+        k = np.where(np.isfinite(away), k, 0)
         d, h = xy - self.points[k], self.heading[k]
         along = d[..., 1] * np.cos(h) - d[..., 0] * np.sin(h)
         aside = d[..., 0] * np.cos(h) + d[..., 1] * np.sin(h)
-        return self.s[k] + along, np.where(np.abs(along) > 1.5 * STEP_M, np.inf, aside)
+        return self.s[k] + along, np.where((np.abs(along) > 1.5 * STEP_M) | (away > FAR_M), np.inf, aside)
 
 
 @dataclass(frozen=True)
