@@ -346,10 +346,12 @@ def _walked(spec: WorldSpec, places: Array, steps: Array, t: Array, p: Placement
     """The track of one who walks; on kerbs the feet go up and down over half a metre."""
     before = places[:1] - (places[1:2] - places[:1]) * (-t[0] / STEP_S)
     rows, at = np.concatenate([before, places]), np.r_[t[0], steps]
-    x, y, heading, travel = (np.interp(t, at, column) for column in rows.T)
+    x, y, heading, _ = (np.interp(t, at, column) for column in rows.T)
     dx, dy = -np.sin(heading), np.cos(heading)
     z = np.mean([ground(spec.road, x + d * dx, y + d * dy) for d in (-0.25, -0.12, 0.0, 0.12, 0.25)], axis=0)
     heading = np.degrees(heading)
+    travel = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]  # not along the middle of the pavement
+    travel = travel - travel[1]
     none = np.zeros(len(t))
     speed = np.gradient(travel, t)
     x, y, z, heading = (

@@ -262,7 +262,7 @@ def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:
     for x in (-FOOTWAY_X, FOOTWAY_X):
         zebra = math.copysign(ZEBRA_X, x)
         corners = [(x, -FOOTWAY_Y), (zebra, -FOOTWAY_Y), (zebra, FOOTWAY_Y), (x, FOOTWAY_Y)]
-        yield Path(rounded(np.array([(x, -crossing.SOUTH), *corners, (x, crossing.NORTH)]), 1.5), 3.0)
+        yield Path(rounded(np.array([(x, -crossing.SOUTH), *corners, (x, crossing.NORTH)]), 3.0), 3.0)
         for y in (-FOOTWAY_Y, FOOTWAY_Y):
             yield Path(rounded(np.array([(x, y), (math.copysign(crossing.SIDE, x), y)]), 0.0), 2.0)
 

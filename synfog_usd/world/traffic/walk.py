@@ -39,8 +39,8 @@ EDGE_M = 0.35
 CROSSES_M = 16.0
 """Longest way over a road that is looked for."""
 BEYOND_M = 25.0
-CROSSING_M = 0.8
-"""By which people go aside on their way over a road."""
+CROSSING_M, CORNER_M = 0.5, 2.5
+"""By which people go aside on their way over a road, and over which they turn into the pavement behind it."""
 KERB_M = 0.35
 """Between who waits and the kerb."""
 PAUSES_S = (2.0, 4.0, 8.0, np.inf)
@@ -255,7 +255,9 @@ def _way(walker: Walker, ways: Sequence[Path], rng: np.random.Generator) -> Way:
                 behind = path.points[(path.s > at + 0.6) & (path.s < at + BEYOND_M)]
                 start = position - 2.0 * (ahead[1] - ahead[0]) / 0.1
                 return _along(
-                    Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], 1.0), path.width), walker, CROSSING_M
+                    Path(rounded(np.r_[start[None], ahead[k : k + 1], behind], CORNER_M), path.width),
+                    walker,
+                    CROSSING_M,
                 )
     straight = np.stack([ahead[0] - 2.0 * (ahead[1] - ahead[0]) / 0.1, ahead[20]])
     return _along(Path(rounded(straight, 0.0), 2.0), walker, 0.0)
