@@ -88,7 +88,7 @@ def bake_sequence(
             rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
         earlier = _clip_files(plan.out)
         manifest = {"schema": "synfog-usd/sequence", "version": 1, "stage": plan.stage.name, "frames_per_s": per_s}
-        manifest |= {"adaptation_s": adaptation_s, "warnings": warnings, "frames": rows}
+        manifest |= {"sampling_seed": plan.seed, "adaptation_s": adaptation_s, "warnings": warnings, "frames": rows}
         manifest["clips"] = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
         flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
         files.write_json(plan.out / SEQUENCE, manifest)
