@@ -11,7 +11,6 @@ import gc
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, SceneDict, boxes
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
-from synfog_usd.stage.schema import LIGHTING_VARIANT_SET, PREFIX
+from synfog_usd.stage.schema import PREFIX
 from synfog_usd.translate import daylight, geometry, light, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.camera import at_mid_exposure, half_exposure, read_camera
@@ -146,7 +145,10 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
             f"{len(names)} light groups ({', '.join(names[:4])}, ...); at most {MOST} can be told apart: give lamps "
             f"the same {ATTRIBUTE}"
         )
-    world = _lit(scene, eye, view.light_scale, notes)
+    world = scene.world()
+    if view.light_scale != 1.0:
+        notes.info("", f"all lights are multiplied by {view.light_scale:.6g}")
+        world = daylight.brightened(world, view.light_scale)
     complete = SceneDict(
         world=world,
         camera=eye,
@@ -167,29 +169,6 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
     )
     boundaries = tuple(boundary.path for boundary in scene.fog)
     return light.with_note_on_crowd(complete), boundaries, Outlook(stage, time, space, eye, content)
-
-
-def _lit(scene: _Assembler, eye: Camera, light_scale: float, notes: Diagnostics) -> dict[str, Any]:
-    """The scene's world with all lights multiplied; a note on a day that would come out as night."""
-    world = scene.world()
-    if light_scale != 1.0:
-        notes.info("", f"all lights are multiplied by {light_scale:.6g}")
-        return daylight.brightened(world, light_scale)
-    outside = daylight.measured(world, eye)
-    if 0.0 < outside.ground_lux < daylight.NIGHT_LUX:
-        root = scene.stage.GetDefaultPrim()
-        names = [
-            Path(scene.stage.GetRootLayer().realPath).stem,
-            root.GetVariantSet(LIGHTING_VARIANT_SET).GetVariantSelection() if root else "",
-        ]
-        why = daylight.why_day([*names, *scene.sky_names], sun=outside.sun_lux > 0.0, blender=scene.is_blender)
-        if why is not None:
-            notes.warn(
-                next(iter(scene.sky_paths), ""),
-                f"sun and sky give {outside.ground_lux:.2g} lux on open ground, which is night, but {why} day; "
-                f"if so, mend it with {outside.noon()} (all lights by one factor)",
-            )
-    return world
 
 
 @contextlib.contextmanager
@@ -358,8 +337,6 @@ class _Assembler:
         self.roots: list[str] = []
         self.spread: list[Array | FloatArray] = []
         self.of_instances = InstancePrimvars(time, notes, self.bindings.inherited)
-        self.sky_paths: list[str] = []
-        self.sky_names: list[str] = []
 
     def build(self, content: Walk) -> None:
         self.roots = [group.root for group in content.groups]
@@ -417,10 +394,6 @@ class _Assembler:
         stage.
         """
         kind, matrix = leaf.kind, around @ leaf.matrix
-        if kind in _DOMES or kind == "DistantLight":
-            self.sky_paths.append(leaf.path)
-            picture = leaf.prim.GetAttribute("inputs:texture:file").Get(self.time)
-            self.sky_names += [leaf.prim.GetName(), Path(getattr(picture, "path", "")).stem]
         if kind in _DOMES:
             dome = light.dome(
                 leaf.prim,

@@ -1,4 +1,4 @@
-"""How light it is outdoors: lux on open ground, the view's luminance, and whether a day was read as night.
+"""How light it is outdoors: lux on open ground and the luminance of the view.
 
 Takes a scene's emitters and camera; gives numbers, and the emitters multiplied by a factor.  Programs without
 photometric units, Blender first, light for an exposure of their own: their sun of strength 3 is 3 lux by UsdLux.
@@ -7,8 +7,7 @@ photometric units, Blender first, light for an exposure of their own: their sun 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,10 +43,6 @@ illuminance at the earth's surface: direct sunlight, full daylight, overcast day
 twilight, full moon, quarter moon, starlight, overcast starlight.
 """
 
-_DAY = frozenset({"sun", "sunny", "sunlight", "day", "daylight", "daytime", "noon", "midday", "morning", "afternoon"})
-_NIGHT = frozenset(
-    {"night", "nighttime", "moon", "moonlight", "dusk", "dawn", "twilight", "evening", "midnight", "stars", "active"}
-)
 _LIT = ("radiance", "irradiance", "intensity")
 
 
@@ -166,28 +161,6 @@ def _nearest(local: Array, shape: tuple[int, ...]) -> Indices:
     column = np.floor(np.arctan2(local[:, 0], -local[:, 2]) / (2.0 * np.pi) * width).astype(np.int64) % width
     row = np.clip(np.arccos(np.clip(local[:, 1], -1.0, 1.0)) / np.pi * height, 0, height - 1).astype(np.int64)
     return np.asarray(row * width + column)
-
-
-def why_day(names: Iterable[str], *, sun: bool, blender: bool) -> str | None:
-    """The sign of a day: a name, a sun above the horizon, or a file without lux; None where there is none, or a name of
-    night.
-
-    Args:
-        names: of lights, of their pictures, of the stage's file and of the chosen lighting.
-        sun: whether a distant light shines down.
-        blender: whether the stage is from Blender.
-    """
-    words = {word.lower(): name for name in names for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
-    if not _NIGHT.isdisjoint(words):
-        return None
-    named = next((f"the name {name} says" for word, name in words.items() if word in _DAY), None)
-    return named or (
-        "a sun above the horizon says"
-        if sun
-        else "a world from Blender, whose strength is seldom meant in nits, may say"
-        if blender
-        else None
-    )
 
 
 def brightened(world: Mapping[str, Any], times: float) -> dict[str, Any]:
