@@ -5,6 +5,7 @@ Takes instances of a walk; gives values by name, and the kinds of instances that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
@@ -123,7 +124,7 @@ class InstancePrimvars:
         Args:
             places: N instances of one prototype.
             names: what its materials read.
-            most: kinds.  Of more, those that differ least are drawn in their mean.
+            most: kinds.  Of more, the values are rounded.
         """
         values = self._same(places, names)
         if values is None:
@@ -132,7 +133,14 @@ class InstancePrimvars:
         kind_of = np.array([number[kind] for kind in values], dtype=np.int64)
         kinds = list(number)
         if len(kinds) > most:
-            kinds, kind_of = self._merged(kinds, kind_of, places[0], names, most)
+            digits, rounded = _rounded(kinds, most)
+            number = {kind: row for row, kind in enumerate(dict.fromkeys(rounded))}
+            self.notes.warn(
+                places[0].source.GetPath(),
+                f"its instances have {len(kinds)} values of {', '.join(names)}; they are drawn in {len(number)}, of "
+                f"{digits} decimals",
+            )
+            kinds, kind_of = list(number), np.array([number[kind] for kind in rounded])[kind_of]
         order = np.argsort(kind_of, kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(kind_of, minlength=len(kinds)))[:-1])
         return [(dict(zip(names, kind, strict=True)), rows) for kind, rows in zip(kinds, parts, strict=True)]
@@ -151,64 +159,20 @@ class InstancePrimvars:
             of_source[source] = tuple(value for value in values if value is None or isinstance(value, PrimvarValue))
         return [of_source[place.source] for place in places]
 
-    def _merged(
-        self,
-        kinds: list[tuple[PrimvarValue | None, ...]],
-        kind_of: Indices,
-        place: GroupInstance,
-        names: Collection[str],
-        most: int,
-    ) -> tuple[list[tuple[PrimvarValue | None, ...]], Indices]:
-        """At most so many kinds: those whose values lie in one cell of a grid are their mean."""
-        sorts: dict[tuple[object, ...], list[int]] = {}
-        for row, kind in enumerate(kinds):
-            sort = tuple(value if value is None or isinstance(value.value, str) else len(value.value) for value in kind)
-            sorts.setdefault(sort, []).append(row)
-        numbers = [np.array([_flat(kinds[row]) for row in rows]) for rows in sorts.values()]
-        steps = 256
-        while True:
-            cells = [np.unique(_cells(some, steps), axis=0, return_inverse=True) for some in numbers]
-            if steps == 1 or sum(len(cell) for cell, _ in cells) <= most:
-                break
-            steps = steps * 3 // 4
-        merged: list[tuple[PrimvarValue | None, ...]] = []
-        onto, off = np.empty(len(kinds), dtype=np.int64), 0.0
-        for rows, some, (unique, cell) in zip(sorts.values(), numbers, cells, strict=True):
-            cell = cell.reshape(-1)
-            count = np.bincount(cell, minlength=len(unique))
-            means = np.stack([np.bincount(cell, some[:, k]) / count for k in range(some.shape[1])], axis=1)
-            off = max(off, float(np.abs(means[cell] - some).max(initial=0.0)))
-            onto[rows] = len(merged) + cell
-            merged += [_like(kinds[rows[0]], mean.tolist()) for mean in means]
-        self.notes.warn(
-            place.source.GetPath(),
-            f"its instances have {len(kinds)} values of {', '.join(names)}; they are drawn in {len(merged)}, which are "
-            f"off by {off:.2g} at most",
-        )
-        return merged, onto[kind_of]
 
+def _rounded(
+    kinds: list[tuple[PrimvarValue | None, ...]], most: int
+) -> tuple[int, list[tuple[PrimvarValue | None, ...]]]:
+    """Kinds whose numbers are rounded so that at most so many differ, and the decimals that are left."""
 
-def _flat(kind: tuple[PrimvarValue | None, ...]) -> list[float]:
-    return [
-        number for value in kind if value is not None and not isinstance(value.value, str) for number in value.value
-    ]
-
-
-def _like(kind: tuple[PrimvarValue | None, ...], numbers: list[float]) -> tuple[PrimvarValue | None, ...]:
-    """A kind with other numbers."""
-    values: list[PrimvarValue | None] = []
-    for value in kind:
+    def rounded(value: PrimvarValue | None, digits: int) -> PrimvarValue | None:
         if value is None or isinstance(value.value, str):
-            values.append(value)
-            continue
-        values.append(PrimvarValue(tuple(numbers[: len(value.value)])))
-        numbers = numbers[len(value.value) :]
-    return tuple(values)
+            return value
+        return PrimvarValue(tuple(round(x, digits) if math.isfinite(x) else 0.0 for x in value.value))
 
-
-def _cells(values: Array, steps: int) -> Indices:
-    """(N, C) which of so many steps from the least to the greatest each value lies in."""
-    values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
-    low, high = values.min(axis=0), values.max(axis=0)
-    share = (values - low) / np.where(high > low, high - low, 1.0)
-    return np.asarray(np.minimum(share * steps, steps - 1).astype(np.int64))
+    coarse: list[tuple[PrimvarValue | None, ...]] = []
+    for digits in (3, 2, 1, 0, -2, -4, -400):  # by the last all numbers are 0
+        coarse = [tuple([rounded(value, digits) for value in kind]) for kind in kinds]
+        if len(set(coarse)) <= most:
+            break
+    return digits, coarse

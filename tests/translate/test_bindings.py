@@ -6,6 +6,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from support.looks import SQUARE, TYPES, fill, put, shade
 
 from synfog_usd.translate import translate
+from synfog_usd.translate.instanced import _rounded
+from synfog_usd.translate.primvars import PrimvarValue
 
 RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -436,3 +438,14 @@ def reads(stage, surface, kind, inputs, name="x"):
     outputs = {"Reader": reader, "Half": half}
     for one, node in inputs.items():
         surface.CreateInput(one, value).ConnectToSource(outputs[node])
+
+
+def test_values_of_more_instances_than_are_drawn_apart_are_rounded():
+    """5000 colours, one of them without a number: by two decimals they still differ, by one at most 11^3 do."""
+    colours = np.random.default_rng(1).random((5000, 3))
+    kinds = [(PrimvarValue(tuple(colour)), None) for colour in colours.tolist()]
+    kinds[7] = (PrimvarValue((float("nan"), 0.0, 0.0)), None)
+    digits, rounded = _rounded(kinds, 4096)
+    assert digits == 1 and 0 < len(set(rounded)) <= 11**3
+    drawn = np.array([value.value for value, _ in rounded])
+    assert np.abs(np.delete(drawn - colours, 7, axis=0)).max() <= 0.05 + 1e-12 and drawn[7].tolist() == [0.0] * 3
