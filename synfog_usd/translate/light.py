@@ -30,7 +30,7 @@ from synfog_usd.translate.implicit import ROUND, frustum, sphere_mesh
 from synfog_usd.translate.inputs import rgb
 from synfog_usd.translate.shaping import Shaping, as_ball, as_card, as_tube, luminous_flux, read_shaping, table_of
 from synfog_usd.translate.space import FAR, is_similarity, rotation_of, scaled
-from synfog_usd.translate.texture import ImageReader, TextureNode, is_srgb, linear
+from synfog_usd.translate.texture import ImageReader, is_srgb, linear
 
 TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Half a turn about Y: USD's lights look along -Z, Mitsuba's along +Z."""
@@ -203,19 +203,10 @@ def dome(
         pole = notes.token(path, "poleAxis", inputs.word("poleAxis", "scene"), ("scene", "Y", "Z"), "scene")
         if pole == "Z" or (pole == "scene" and z_up):
             turn = turn @ POLE_TO_Z
-    authored, file = inputs.file("texture:file")
-    if not authored:
+    texels = _texels(inputs, path, notes, images)
+    if texels is None:
         return Dome(path, tint.astype(np.float32), turn)
-    pixels = images.read(file, path) if file else None
-    if pixels is None:
-        notes.warn(
-            path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour"
-        )
-        return Dome(path, tint.astype(np.float32), turn)
-    node = TextureNode(path, file, authored, "rgb", "auto", "repeat", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
-    values = linear(pixels, srgb=is_srgb(node, pixels))
-    values = np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3]
-    values = np.maximum(values * tint.astype(np.float32), 0.0)
+    values = np.maximum(texels * tint.astype(np.float32), 0.0)
     layout = inputs.word("texture:format", "automatic")
     if layout not in ("automatic", "latlong"):
         notes.warn(path, f"texture format {layout!r} is not known; the light has the mean colour of the picture")
@@ -436,7 +427,8 @@ def _flat(
     if kind == "RectLight":
         half_x, half_y = inputs.number("width", 1.0) / 2.0, inputs.number("height", 1.0) / 2.0
         unit_area, native = 4.0, "rectangle"
-        picture = _picture(inputs, path, notes, images)
+        texels = _texels(inputs, path, notes, images)
+        picture = None if texels is None else np.maximum(texels.astype(np.float64), 0.0)
     else:
         half_x = half_y = inputs.number("radius", 0.5)
         unit_area, native = math.pi, "disk"
@@ -476,8 +468,10 @@ def _flat(
     return Lamp(area_emitter(L), math.pi * surface * float(LUMINANCE @ L), {"type": native, "to_world": place})
 
 
-def _picture(inputs: LightInputs, path: object, notes: Diagnostics, images: ImageReader) -> Array | None:
-    """(H, W, 3) linear factors of the picture on a light, or None where there is none."""
+def _texels(
+    inputs: LightInputs, path: object, notes: Diagnostics, images: ImageReader
+) -> npt.NDArray[np.float32] | None:
+    """(H, W, 3) linear values of the picture on a light; None for none, with a note where it cannot be read."""
     authored, file = inputs.file("texture:file")
     if not authored:
         return None
@@ -487,9 +481,8 @@ def _picture(inputs: LightInputs, path: object, notes: Diagnostics, images: Imag
             path, f"texture {authored} {'cannot be read' if file else 'is not found'}; the light is of one colour"
         )
         return None
-    node = TextureNode(str(path), file, authored, "rgb", "auto", "clamp", (1.0,) * 4, (0.0,) * 4, (0.0,) * 4, None)
-    values = linear(pixels, srgb=is_srgb(node, pixels)).astype(np.float64)
-    return np.maximum(np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3], 0.0)
+    values = linear(pixels, srgb=is_srgb("auto", pixels))
+    return np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3]
 
 
 def _cylinder(

@@ -296,14 +296,14 @@ def tile_range(tiles: tuple[tuple[int, str], ...]) -> tuple[int, int, int, int]:
     return min(columns), min(rows), max(columns) - min(columns) + 1, max(rows) - min(rows) + 1
 
 
-def is_srgb(node: TextureNode, pixels: Pixels) -> bool:
+def is_srgb(color_space: str, pixels: Pixels) -> bool:
     """Whether a file's codes are sRGB: as authored, else for 8-bit images of 3 or 4 channels.
 
     Source: UsdPreviewSurface specification, UsdUVTexture, sourceColorSpace.
     """
-    if node.color_space in _SRGB:
+    if color_space in _SRGB:
         return True
-    return node.color_space == "auto" and pixels.dtype == np.uint8 and pixels.shape[2] >= 3
+    return color_space == "auto" and pixels.dtype == np.uint8 and pixels.shape[2] >= 3
 
 
 def linear(pixels: Pixels, *, srgb: bool) -> npt.NDArray[np.float32]:
@@ -453,7 +453,7 @@ def _sampled(node: TextureNode, images: ImageReader, channels: int) -> Pixels | 
         pixels = pixels[-1:, :1]
     elif pixels.size > 4 and (pixels == pixels[:1, :1]).all():
         pixels = pixels[:1, :1]
-    srgb = is_srgb(node, pixels)
+    srgb = is_srgb(node.color_space, pixels)
     plain = all(s == 1.0 for s in node.scale) and not any(node.bias)
     if (
         srgb
@@ -529,7 +529,7 @@ def as_measured(node: TextureNode, images: ImageReader, most: int) -> npt.NDArra
         return np.array(node.fallback, dtype=np.float32).reshape(1, 1, 4)
     if node.uv is None:
         pixels = pixels[-1:, :1]
-    srgb = is_srgb(node, pixels)
+    srgb = is_srgb(node.color_space, pixels)
     height, width = pixels.shape[:2]
     values = linear(pixels, srgb=srgb)
     while height * width > most:
