@@ -122,16 +122,17 @@ def test_fixed_patterns_are_the_cameras(rig):
 
 
 @pytest.mark.slow
-def test_the_renders_noise_is_its_own(rig, tmp_path):
+def test_the_renders_noise_is_its_cameras(rig, tmp_path):
     """Of two seeds the difference is noise alone: that of one camera is not that of the other, which stands in the
-    same place, nor that of the next frame, in which nothing moves.
+    same place.  In the next frame nothing moves, and so it stands still, as in a clip it must not crawl.
     """
     cells = [(camera, frame, "sky", "mor150") for camera in CAMERAS for frame in (None, 2.0)]
     again = shots(tmp_path, seed=1, cells=cells)
     left = {cell: rig[cell]["radiance"] - again[cell]["radiance"] for cell in cells}
     assert all(part.std() > 1e-3 * again[cell]["radiance"].mean() for cell, part in left.items())
     for one, other in itertools.combinations(cells, 2):
-        assert abs(together(left[one], left[other])) < CHANCE, (one, other)
+        found = together(left[one], left[other])
+        assert found > 0.999 if one[0] == other[0] else abs(found) < CHANCE, (one, other, found)
 
 
 @pytest.mark.slow
