@@ -87,7 +87,7 @@ class Earlier:
     groups: Groups = field(default_factory=dict)
 
     def keep(self, world: Mapping[str, Any]) -> dict[str, Any]:
-        """The world with the parts that are known in the place of those that are the same; all others are let go."""
+        """The world, whose parts that did not change are those of before; what was made of the others is dropped."""
         world = taken_over(world, self.world)
         own = {key: part for key, part in world.items() if key != "type" and part["type"] != "shapegroup"}
         same = {key for key, part in own.items() if part is self.world.get(key)}
