@@ -17,6 +17,7 @@ from synfog_usd.camera import fisheye as fisheyes
 from synfog_usd.camera import focus as focused  # noqa: F401
 from synfog_usd.camera import ghosts as ghost  # noqa: F401
 from synfog_usd.camera import graph as engine
+from synfog_usd.camera import wet_glass as wet  # noqa: F401
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401
 from synfog_usd.camera.exposure import Exposure, meter
 from synfog_usd.camera.graph import GraphRun, NodeGraph, Registry

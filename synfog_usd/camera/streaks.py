@@ -1,0 +1,163 @@
+"""Drops and flakes as a camera sees them: streaks of an exposure, out of focus, row by row, behind what is nearer.
+
+Takes where drops are in the picture, how fast they cross it and how much of it they cover; gives what share of each
+pixel they leave free.  Knows nothing of rain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from synfog_usd.base.arrays import Array, FloatArray, Indices
+
+PER_PX2, MOST_POINTS = 6.0, 1 << 16
+"""Points by which a pixel's area of a wide streak is drawn, and most of one drop; thin ones have one by pixel."""
+
+GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""From one point of a disc to the next, as sunflowers have their seeds."""
+
+BATCH = 1 << 20
+"""Points that are drawn at a time."""
+
+FAINT = 0.03
+"""Part of a pixel up to which a drop's points are taken for drops of their own: it errs by half of its square."""
+
+SLOWEST = 0.2
+"""Drops that outrun the reading of the rows are drawn as if they went down with it at 0.8 of its speed."""
+
+
+@dataclass(frozen=True)
+class Streaks:
+    """Drops before a camera, at the moment at which the middle row is half exposed.
+
+    Attributes:
+        place_px: (N, 2) column and row from the picture's corner [px].
+        speed_px_s: (N, 2) across the picture [px/s].
+        area_px: (N,) that each drop covers [px^2].
+        width_px: (N,) diameter of the drop [px].
+        blur_px: (N,) diameter of the disc of what is out of focus [px].
+        distance_m: (N,) from the camera [m].
+    """
+
+    place_px: Array
+    speed_px_s: Array
+    area_px: Array
+    width_px: Array
+    blur_px: Array
+    distance_m: Array
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """When the rows of a picture are exposed.
+
+    Attributes:
+        exposure_s: of each row [s].
+        readout_s: from the beginning of the top row to that of the bottom row [s]; 0 for a global shutter.
+        part: begin and end of the part of the exposure that counts, 0 to 1.
+    """
+
+    exposure_s: float
+    readout_s: float = 0.0
+    part: tuple[float, float] = (0.0, 1.0)
+
+
+def left_free(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> FloatArray:
+    """Share (H, W) of each pixel and its exposure that no drop covers, as if drops were opaque.
+
+    A drop covers of a pixel the part of the exposure for which it is before it, times the part of the pixel.  Several
+    drops leave the product of what each leaves, whose mean over places of Poisson's process is exp(-mean cover).
+    Each is drawn by points that are even in time and in its disc, each shared by the four pixels around it.
+
+    Args:
+        streaks: the drops.
+        shutter: when rows are exposed.
+        distance_m: (H, W) from the camera to what each pixel shows [m], infinite at the sky; it hides what is farther.
+
+    Source: Garg and Nayar, "Vision and rain", International Journal of Computer Vision 75 (2007), section 3.
+    """
+    height, width = distance_m.shape
+    free = np.zeros(height * width)
+    begin, end = shutter.part
+    lasts_s = (end - begin) * shutter.exposure_s
+    lag_s = shutter.readout_s / height
+    behind = 1.0 - lag_s * streaks.speed_px_s[:, 1]
+    stretched = 1.0 / np.maximum(behind, SLOWEST)
+    middle_s = (0.5 * (begin + end) - 0.5) * shutter.exposure_s
+    when_s = (lag_s * (streaks.place_px[:, 1] - 0.5 * height) + middle_s) * stretched
+    middle = streaks.place_px + streaks.speed_px_s * when_s[:, None]
+    way = streaks.speed_px_s * (lasts_s * stretched)[:, None]
+    long = np.sqrt(np.einsum("ij,ij->i", way, way))
+    wide = np.sqrt(streaks.width_px**2 + streaks.blur_px**2)
+    reach = 0.5 * (np.abs(way) + wide[:, None]) + 1.0
+    meets = np.all((middle + reach > 0.0) & (middle - reach < (width, height)), axis=1)
+    middle, way, wide, far = middle[meets], way[meets], wide[meets], streaks.distance_m[meets]
+    cover, area = (streaks.area_px * stretched)[meets], (long[meets] + wide + 1.0) * np.maximum(wide, 1.0)
+    count = np.where(wide > 1.0, PER_PX2 * area, area)
+    count = np.clip(count, 2.0, MOST_POINTS).astype(np.int64)
+    faint = cover < FAINT * area
+    order = np.argsort(~faint, kind="stable")
+    for batch in _batches(count[order], int(faint.sum())):
+        some = order[batch]
+        drop, point = _points(count[some])
+        these = some[drop]
+        step, thick = (point + 0.5) / count[these], wide[these] > 1.0
+        along = np.where(thick, point * math.sqrt(2.0) % 1.0, step) - 0.5
+        radius, angle = np.where(thick, 0.5 * wide[these] * np.sqrt(step), 0.0), GOLDEN_RAD * point
+        x = middle[these, 0] + way[these, 0] * along + radius * np.cos(angle) - 0.5
+        y = middle[these, 1] + way[these, 1] * along + radius * np.sin(angle) - 0.5
+        together = None if faint[some[0]] else drop
+        _cover(free, (x, y), (cover / count)[these], far[these], together, distance_m)
+    return np.exp(free).reshape(height, width).astype(np.float32)
+
+
+def _batches(count: Indices, apart: int) -> Iterator[slice]:
+    """Drops of about `BATCH` points each time, the first so many apart from the others."""
+    ends = np.cumsum(count)
+    first = 0
+    while first < len(count):
+        last = int(np.searchsorted(ends, (ends[first - 1] if first else 0) + BATCH, side="right"))
+        last = max(last, first + 1)
+        if first < apart < last:
+            last = apart
+        yield slice(first, last)
+        first = last
+
+
+def _points(count: Indices) -> tuple[Indices, Indices]:
+    """(P,) of each point the drop, and which of its points it is."""
+    drop = np.repeat(np.arange(len(count)), count)
+    return drop, np.arange(len(drop)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def _cover(
+    free: Array, places: tuple[Array, Array], cover: Array, far_m: Array, drop: Indices | None, distance_m: FloatArray
+) -> None:
+    """Add to the logarithms (H W,) of what is free what points leave of the four pixels around each; those of one
+    `drop` cover a pixel together.
+    """
+    height, width = distance_m.shape
+    column, row = (np.floor(place).astype(np.int64) for place in places)
+    right, below = places[0] - column, places[1] - row
+    keys, parts = [], []
+    for down in (0, 1):
+        for across in (0, 1):
+            here, line = column + across, row + down
+            inside = (here >= 0) & (here < width) & (line >= 0) & (line < height)
+            pixel = np.where(inside, line * width + here, 0)
+            shows = inside & (far_m < distance_m.ravel()[pixel])
+            weight = cover * (right if across else 1.0 - right) * (below if down else 1.0 - below)
+            keys.append((pixel if drop is None else drop * (height * width) + pixel)[shows])
+            parts.append(weight[shows])
+    key, share = np.concatenate(keys), np.concatenate(parts)
+    if drop is not None:
+        order = np.argsort(key, kind="stable")
+        key, share = key[order], share[order]
+        first = np.flatnonzero(np.diff(key, prepend=-1))
+        share = np.add.reduceat(share, first) if len(first) else share
+        key = key[first] % (height * width)
+    free += np.bincount(key, np.log1p(-np.minimum(share, 1.0 - 1e-6)), minlength=height * width)
