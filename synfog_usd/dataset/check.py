@@ -104,7 +104,7 @@ def look(
     usd.override(opened, choices=choices, metres_per_unit=metres_per_unit, up=up)
     notes: dict[Note, None] = {}
     first = _placed(opened, usd.check(opened))
-    findings = dict.fromkeys(first)
+    findings = dict.fromkeys([*first, *usd.over_time(opened)])
     light: dict[str, str] = {}
     in_fog: list[set[Finding]] = []  # what is found where there is fog, by variant
     exchange: Exchange | None = None

@@ -19,6 +19,7 @@ from synfog_usd.stage.open import (
     variant_choices,
     variants,
 )
+from synfog_usd.stage.over_time import over_time
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.still import stands_still
@@ -38,6 +39,7 @@ __all__ = [
     "named_cameras",
     "offered",
     "open_stage",
+    "over_time",
     "override",
     "register",
     "reread",

@@ -160,6 +160,38 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 *_LABEL_MEND,
             ),
             _rule(
+                "overlaps",
+                "warning",
+                "Two road users whose boxes are in each other at a frame, though neither rides on the other.",
+                "move a keyframe of one of them",
+                "edit the time samples of one Transform LOP",
+                "move a key of one of them in the Curve Editor",
+            ),
+            _rule(
+                "floats",
+                "warning",
+                "A road user that is above or below the ground at a frame, by more than 0.25 m.",
+                "move its keyframes onto the ground, or add a Shrinkwrap constraint",
+                "project it onto the ground before the SOP Import",
+                "move its keys onto the ground in the Curve Editor",
+            ),
+            _rule(
+                "jumps",
+                "warning",
+                "A road user that moves between two frames as nothing on a road can.",
+                "set the interpolation of its keyframes to linear or Bezier, and look for a key in the wrong place",
+                "look for a missing time sample",
+                "look for a key in the wrong place in the Curve Editor",
+            ),
+            _rule(
+                "leaves-lane",
+                "warning",
+                "A vehicle that drove in a lane and is beside all lanes of the stage at a frame.",
+                "lead it along the lane by a Follow Path constraint",
+                "lead it along the lane's curve",
+                "move its keys into the lane",
+            ),
+            _rule(
                 "unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND
             ),
             _rule(
