@@ -110,7 +110,7 @@ def compose(
     if weather:
         chosen = scenario.at_its_hour(chosen, weather)
     spec = draw(chosen, seed=seed)
-    clip = clip_of(chosen, spec, seed=seed)
+    spec, clip = clip_of(chosen, spec, seed=seed)
     if clip is None and (recorded or out_fcd):
         raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
     if clip and recorded:
@@ -156,8 +156,9 @@ def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, f
     return [*change, *(f"time.{key}={json.dumps(value)}" for key, value in times.items() if value is not None)]
 
 
-def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> motion.Clip | None:
-    """What moves in a world that was drawn of a recipe with a seed, or None where the recipe's `time` asks for a still.
+def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> tuple[WorldSpec, motion.Clip | None]:
+    """A world that was drawn of a recipe with a seed with those who come in later, and what moves in it; the world
+    alone where the recipe's `time` asks for a still.
 
     Raises:
         RecipeError: the camera's car would leave the drawn road.
@@ -166,7 +167,7 @@ def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> motion.Clip | None
     fps = draws.number("time.fps")
     frames = round(draws.number("time.seconds") * fps)
     if not frames:
-        return None
+        return spec, None
     headway_s = draws.number("traffic.headway_s") if "traffic.headway_s" in recipe.distributions else HEADWAY_S
     pace = motion.Pace(speed_m_s(draws), headway_s, seed)
     return motion.clip_of(spec, pace, frames=frames, fps=fps)

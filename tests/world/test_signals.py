@@ -63,8 +63,7 @@ def street():
     recipe = compose.load(
         Path("crossroads"), ["traffic.main_street=waits", f"time.seconds={SECONDS}", f"time.fps={FPS}"]
     )
-    spec = compose.draw(recipe, seed=seed)
-    return seed, spec, compose.clip_of(recipe, spec, seed=seed)
+    return seed, *compose.clip_of(recipe, compose.draw(recipe, seed=seed), seed=seed)
 
 
 def test_the_queue_stands_at_red_and_goes_at_green(street):

@@ -82,7 +82,7 @@ def clip(recipe, seed, seconds, **change):
     given = {"time.seconds": seconds, "time.fps": FPS, **change}
     found = compose.load(Path(recipe), [f"{key}={value}" for key, value in given.items()])
     spec = compose.draw(found, seed=seed)
-    return spec, compose.clip_of(found, spec, seed=seed)
+    return compose.clip_of(found, spec, seed=seed)
 
 
 def placed_at(spec, track, index, frame):

@@ -25,8 +25,10 @@ BESIDE_M, PERSON_M = 0.2, 0.7
 BEFORE_PERSON_M = 1.0
 ZEBRA_HALF_M = 3.0
 """People so near the middle of a zebra are on it, along the road."""
-FREE_S, FREE_M = 3.5, 9.0
-"""Whoever gives way waits for others who are so near, by time or by length."""
+FREE_M = 9.0
+"""Whoever gives way waits for others who are so near."""
+SLOW = 2.0
+"""Who goes slower may be about to stand [m/s]."""
 LATEST = 3.0
 """Who would have to brake harder than this [m/s2] for a line goes on over it."""
 OVER_LINE_M = 1.2
@@ -133,7 +135,7 @@ class Trip:
         x, y: [m]; heading: [rad]; v: speed [m/s]; a: acceleration [m/s2].
         bend: of its path [1/m], positive to the left.
         blinks: 1 while the left indicator is on, -1 the right one, 0 neither.
-        ahead: from its nose to the end of its route [m].
+        inside: whether all of it is on the drawn road.
     """
 
     x: Array
@@ -143,7 +145,7 @@ class Trip:
     a: Array
     bend: Array
     blinks: Indices
-    ahead: Array
+    inside: Flags
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,7 @@ class Street:
             free = at[None] - front[:, None]
             room = np.where(along_it > 0.0, BESIDE_M, 0.0)[mine]  # who comes towards one keeps to a lane of their own
             blocks = _between(aside, low, high, room) & (free > -0.3) & (mine[None] != who[:, None])
+            free = np.where(along_it[mine] < SLOW, self._held(route, free, at, front, state.v[who]), free)
             _nearest(gap, speed, who, np.where(blocks, free, np.inf), along_it[mine])
             at, aside = every_at[len(mine) :], every_aside[len(mine) :]
             free = at[None] - front[:, None] - BEFORE_PERSON_M
@@ -273,26 +276,40 @@ class Street:
                 line = zebra - ZEBRA_LINE_M - front[:, None] + self.driver.standstill_m - AT_LINE_M
                 on = (np.abs(at[None] - zebra) < ZEBRA_HALF_M) & (line > 0.0)
                 free = np.where(on, np.minimum(free, line), free)
+            free = self._held(route, free, at, front, state.v[who])
             _nearest(gap, speed, who, np.where(blocks, free, np.inf), None)
             fixed, aside = self.still[number]
             blocks = _between(aside, low, high, 0.05) & (fixed[None] > front[:, None])
             _nearest(gap, speed, who, np.where(blocks, fixed[None] - front[:, None], np.inf), None)
             signals = (line.s for line in route.signals if self.stops[step, line.street])
-            for stop in (*signals, *(gate.s for gate in route.gives_way if self._taken(gate, state))):
-                to_line = (stop - front)[:, None]
-                stops = (to_line > -OVER_LINE_M) & (
-                    state.v[who, None] ** 2 < 2.0 * LATEST * np.maximum(to_line, AT_LINE_M)
-                )
-                _nearest(gap, speed, who, np.where(stops, to_line + self.driver.standstill_m - AT_LINE_M, np.inf), None)
+            for stop in (*signals, *(gate.s for gate in route.gives_way if self._taken(gate, state, step))):
+                _nearest(gap, speed, who, self._to_line(stop, front, state.v[who]), None)
         return np.maximum(gap, 0.05), speed
 
-    def _taken(self, line: GiveWay, state: State) -> bool:
+    def _to_line(self, line: float, front: Array, v: Array) -> Array:
+        """(n, 1) gaps [m] of bumpers at stations to what lets them stop at a line; inf for who cannot any more."""
+        to_line = (line - front)[:, None]
+        stops = (to_line > -OVER_LINE_M) & (v[:, None] ** 2 < 2.0 * LATEST * np.maximum(to_line, AT_LINE_M))
+        return np.where(stops, to_line + self.driver.standstill_m - AT_LINE_M, np.inf)
+
+    def _held(self, route: Route, free: Array, at: Array, front: Array, v: Array) -> Array:
+        """(n, P) gaps [m] to obstacles at stations; who would have to wait in a junction waits at its line instead."""
+        if route.holds is None:
+            return free
+        line, leaves = route.holds
+        return np.where((at > line) & (at < leaves), np.minimum(free, self._to_line(line, front, v)), free)
+
+    def _taken(self, line: GiveWay, state: State, step: int) -> bool:
         """Whether somebody who is in the junction already is about to come where a route from a line meets theirs."""
         for number, meet in self.meets[line.meet]:
             who, route = np.flatnonzero(state.route == number), self.routes[number]
             to_meet = meet - state.s[who]
-            inside = state.s[who] + self.nose[who] > max((gate.s for gate in route.gives_way), default=-np.inf)
-            if (inside & (to_meet > -self.nose[who]) & (to_meet < np.maximum(FREE_M, state.v[who] * FREE_S))).any():
+            lines = [gate.s + OVER_LINE_M for gate in route.gives_way]
+            lines += [signal.s for signal in route.signals if self.stops[step, signal.street]]
+            inside = state.s[who] + self.nose[who] > max(lines, default=-np.inf)
+            if (
+                inside & (to_meet > -self.nose[who]) & (to_meet < np.maximum(FREE_M, state.v[who] * line.free_s))
+            ).any():
                 return True
         return False
 
@@ -359,24 +376,27 @@ class Street:
             clock + rest * np.minimum(v, SLOWEST) / SLOWEST,
         )
         now = self.places(state, np.full(len(t), number))
-        bend, rest_m, blinks = np.zeros(len(t)), np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
+        bend, blinks, inside = np.zeros(len(t)), np.zeros(len(t), dtype=np.int64), np.ones(len(t), dtype=bool)
+        me = self.vehicles[number]
         for which, on in _by_route(route):
             path = self.routes[which].path
             bend[on] = np.interp(state.s[on], path.s, path.curvature)
-            rest_m[on] = path.length - state.s[on] - self.nose[number]
+            inside[on] = path.length - state.s[on] - me.ahead > 0.5
+            if me.s < self.routes[which].begins:  # who was drawn there is there from the beginning
+                inside[on] &= state.s[on] - me.behind > self.routes[which].begins
             for begin, end, way in self.routes[which].turns:
                 blinks[on] = np.where((state.s[on] > begin) & (state.s[on] < end), way, blinks[on])
         changes = state.clock < self._takes[number] + INDICATES_S
         blinks = np.where(changes, np.sign(jump).astype(np.int64), blinks)
-        return Trip(now.x, now.y, now.heading, state.v, a, bend, blinks, rest_m)
+        return Trip(now.x, now.y, now.heading, state.v, a, bend, blinks, inside)
 
 
 def near_routes(routes: Sequence[Route], used: Collection[int], fixed: Array) -> dict[int, tuple[Array, Array]]:
-    """Stations and offsets [m] along routes of those of (P, 2) places that are near them."""
+    """Stations and offsets [m] along routes of those of (P, 2) places on the drawn road that are near them."""
     result = {}
     for number in used:
         s, aside = routes[number].path.nearest(fixed.reshape(-1, 2))
-        near = np.abs(aside) < routes[number].path.width
+        near = (np.abs(aside) < routes[number].path.width) & (s > routes[number].begins)
         result[number] = s[near], aside[near]
     return result
 

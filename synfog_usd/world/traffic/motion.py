@@ -18,6 +18,7 @@ from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.crossing import Crossing
+from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.stage import KINDS
 from synfog_usd.world.roads.traffic import OWN_CAR_M
 from synfog_usd.world.spec import Placement, Site, WorldSpec
@@ -42,6 +43,13 @@ TURNED = math.radians(40.0)
 BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
 """Brake lights are on below this acceleration, and go on when one stops."""
 BLINKS_HZ = 1.5
+LONG_M, WIDE_M = 6.5, 20.0
+"""Vehicles longer than this take bends of less than this radius only where they have to."""
+FASTEST, LEAD_M = 1.3, 40.0
+"""Speed over the recipe's of the fastest, and way beyond what they go in a clip, for the lanes' ways outside."""
+LEAST_SPAN_M, APART_M, MOST_INCOMING = 200.0, 4.0, 100
+"""Length of lane in which traffic was drawn, at least; between incoming vehicles, beyond their headway; of them."""
+RIDDEN = ("cyclist", "bicycle", "motorcyclist")
 PASSED = ("Ground", "Buildings")
 """What nobody has to go round: eaves of houses hang over the pavement."""
 LEAN_STEP_S = 0.02
@@ -114,7 +122,7 @@ class Clip:
     signals: Mapping[int, Mapping[str, Flags]] = field(default_factory=dict)
 
 
-def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
+def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> tuple[WorldSpec, Clip]:
     """Let a street go on for some frames.
 
     Args:
@@ -123,14 +131,20 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
         frames: how many, from 0.
         fps: of them a second.
 
+    Returns:
+        the street with those who come in during the clip, and its clip.
+
     Raises:
         RecipeError: the camera's car would leave the drawn road.
     """
     codes = np.arange(-1.0, frames + 1.0)
     t = codes / fps
-    ways = routes(spec.road)
+    ways = [way.led(FASTEST * pace.speed_m_s * float(t[-1]) + LEAD_M) for way in routes(spec.road)]
     who, vehicles = _vehicles(spec, ways, pace)
     walkers = _walkers(spec)
+    drawn = len(spec.placed)
+    spec, coming = _incoming(spec, ways, who, vehicles, pace, float(t[-1]))
+    who, vehicles = [*who, *range(drawn, len(spec.placed))], [*vehicles, *coming]
     steps = np.arange(0.0, t[-1] + LOOK_S + 2 * STEP_S, STEP_S)
     move = {*walkers, *who, *(rider for rider, _ in _ridden(spec))}
     still = (p for i, p in enumerate(spec.placed) if i not in move and p.group not in PASSED)
@@ -165,8 +179,11 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> Clip:
     for index, bicycle in _ridden(spec):
         if bicycle in tracks:
             tracks[index] = tracks[bicycle]
-    moving = {index: track for index, track in tracks.items() if track.moves}
-    return Clip(fps, codes, moving, ego, _signals(spec, phases, t))
+    moving = {index: track for index, track in tracks.items() if track.moves and track.shown.any()}
+    kept = [index for index in range(len(spec.placed)) if index < drawn or index in moving]
+    spec = replace(spec, placed=tuple(spec.placed[index] for index in kept))
+    moving = {number: moving[index] for number, index in enumerate(kept) if index in moving}
+    return spec, Clip(fps, codes, moving, ego, _signals(spec, phases, t))
 
 
 # -- who there is
@@ -195,7 +212,7 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
     view = spec.view
     behind, before = OWN_CAR_M
     rng = stream(pace.seed, "traffic", "route", "ego")
-    ego_lane = _in_lane(ways, view.x, view.y, view.heading - view.yaw, 0.5, rng)
+    ego_lane = _in_lane(ways, (view.x, view.y, view.heading - view.yaw), 0.5, np.inf, pace.speed_m_s, rng)
     if ego_lane is None:
         raise RecipeError("the camera is in no lane, so that nothing can be put in motion around it")
     result = [
@@ -209,7 +226,9 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
             continue
         rng = stream(pace.seed, "traffic", "route", p.name)
         rides = model.label in ("rider", "bicycle", "motorcycle")
-        lane = _in_lane(ways, p.x, p.y, p.heading, RIDES_M if rides else BESIDE_LANE_M, rng)
+        most_m, length = (RIDES_M, np.inf) if rides else (BESIDE_LANE_M, model.length)
+        speed = pace.speed_m_s if p.speed_m_s is None else p.speed_m_s
+        lane = _in_lane(ways, (p.x, p.y, p.heading), most_m, length, speed, rng)
         if lane is None:
             continue
         pedals = p.asset in ("cyclist", "bicycle")
@@ -231,9 +250,24 @@ def _reached(route: Route) -> bool:
 
 
 def _in_lane(
-    ways: Sequence[Route], x: float, y: float, heading: float, most_m: float, rng: np.random.Generator
+    ways: Sequence[Route],
+    place: tuple[float, float, float],
+    most_m: float,
+    length: float,
+    v: float,
+    rng: np.random.Generator,
 ) -> tuple[int, float, float, float] | None:
-    """Route, station, offset [m] and turn [rad] of who is at a place, drawn among routes that begin there."""
+    """Route, station, offset [m] and turn [rad] of who is at a place, drawn among routes that begin there.
+
+    Args:
+        ways: all routes.
+        place: x, y [m] and heading [degrees].
+        most_m: by which who is in a lane may be beside it.
+        length: of the vehicle [m]; long ones take no tight bend where there is another way.
+        v: speed [m/s]; who is too fast for a bend goes straight on where there is another way.
+        rng: draws the route.
+    """
+    x, y, heading = place
     result = []
     for number, route in enumerate(ways):
         s, aside = (float(v) for v in route.path.nearest(np.array([x, y])))
@@ -244,7 +278,67 @@ def _in_lane(
         return None
     least = min(abs(aside) for _, _, aside, _ in result)
     candidates = [vehicle for vehicle in result if abs(vehicle[2]) < least + 0.3]
-    return candidates[int(rng.integers(len(candidates)))]
+    return candidates[_drawn(rng, [(ways[number], s) for number, s, _, _ in candidates], length, v)]
+
+
+def _drawn(rng: np.random.Generator, ways: Sequence[tuple[Route, float]], length: float, v: float) -> int:
+    """Number of the one among routes from stations that a vehicle of a length [m] and speed [m/s] takes."""
+    easy = [
+        (length < LONG_M or route.tight > WIDE_M) and v < np.interp(s, route.path.s, route.path.limit) + 0.1
+        for route, s in ways
+    ]
+    share = np.array([route.share * (fits or not any(easy)) for (route, _), fits in zip(ways, easy, strict=True)])
+    return int(rng.choice(len(ways), p=share / share.sum()))
+
+
+def _incoming(
+    spec: WorldSpec, ways: Sequence[Route], who: Sequence[int], vehicles: Sequence[Vehicle], pace: Pace, seconds: float
+) -> tuple[WorldSpec, list[Vehicle]]:
+    """The street with vehicles that come in at the ends of its lanes, as dense as those that were drawn, and how these
+    begin: on the way there.  None comes behind the camera where nobody can overtake it.
+    """
+    models = [
+        spec.placed[index].asset
+        for index, vehicle in zip(who, vehicles, strict=True)
+        if index >= 0 and ways[vehicle.route].kind == "lane" and spec.placed[index].asset not in RIDDEN
+    ]
+    entries: dict[tuple[float, float], list[int]] = {}
+    for number, way in enumerate(ways):
+        if way.kind == "lane":
+            entries.setdefault((float(way.path.points[0, 0]), float(way.path.points[0, 1])), []).append(number)
+    stations = [[vehicle.s for vehicle in vehicles if vehicle.route == number] for number in range(len(ways))]
+    span = max(LEAST_SPAN_M, *(float(np.ptp(of_way)) for of_way in stations if of_way))
+    per_s = len(models) / len(entries) / span * pace.speed_m_s
+    placed, coming = list(spec.placed), list[Vehicle]()
+    for entry, numbers in enumerate(entries.values()):
+        if not models or (vehicles[0].route in numbers and not _reached(ways[numbers[0]])):
+            continue
+        rng, at = stream(pace.seed, "traffic", "incoming", entry), 0.0
+        while (at := at + float(rng.exponential(1.0 / per_s))) < seconds and len(coming) < MOST_INCOMING:
+            model = rules.model(models[int(rng.integers(len(models)))])
+            heavy = model.label in ("truck", "bus")
+            v = pace.speed_m_s * (
+                float(rng.uniform(*(HEAVY if heavy else LIGHT))) if _reached(ways[numbers[0]]) else 1.0
+            )
+            x0, y0, x1, y1 = rules.foot(model.name)
+            number = numbers[_drawn(rng, [(ways[k], 0.0) for k in numbers], model.length, v)]
+            s = ways[number].begins - v * at - y1
+            takes = float(rng.uniform(*TAKES_S))
+            coming.append(Vehicle(number, s, 0.0, 0.0, y1, -y0, x1 - x0, v, v, takes=takes))
+            x, y, h = (np.array([float(value)]) for value in ways[number].path.at(s))
+            pitch, roll = slopes(spec.road, x, y, h)
+            plates = model.variants.get("plate", ())
+            looks = look(rng, model) | ({"plate": plates[int(rng.integers(len(plates)))]} if plates else {})
+            lit = {"lamps": "glow"} if "glow" in model.variants.get("lamps", ()) else {}
+            placed.append(
+                Placement(
+                    "Vehicles", f"{model.name.title()}_In_{len(coming):02d}", model.name, float(x[0]), float(y[0]),
+                    math.degrees(float(h[0])), looks, lit, z=float(ground(spec.road, x, y)[0]), pitch=float(pitch[0]),
+                    roll=float(roll[0]), speed_m_s=v,
+                )
+            )  # fmt: skip
+            at += pace.headway_s + (y1 - y0 + APART_M) / v
+    return replace(spec, placed=tuple(placed)), coming
 
 
 def _ridden(spec: WorldSpec) -> list[tuple[int, int]]:
@@ -318,7 +412,7 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
         bend=trip.bend,
         brakes=_brake_lights(trip, braked),
         blinks=np.where((t * BLINKS_HZ) % 1.0 >= 0.5, trip.blinks, 0),
-        shown=trip.ahead > 0.5,
+        shown=trip.inside,
     )  # fmt: skip
 
 

@@ -23,15 +23,26 @@ from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.reference_line import ReferenceLine
 from synfog_usd.world.roads.roundabout import HOLD_M, TAPER_M, ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Site
-from synfog_usd.world.traffic.xodr import Cubic, Junction, LinePiece, Network, OpenRoad, Strip, write_network
+from synfog_usd.world.traffic.xodr import (
+    LEAST_M,
+    Cubic,
+    Junction,
+    LinePiece,
+    Network,
+    OpenRoad,
+    Pose,
+    Strip,
+    bend,
+    write_network,
+)  # fmt: skip
 
 TYPES = {
     "lane": "driving", "bus": "driving", "parking": "parking", "shoulder": "shoulder", "cycle": "biking",
     "pavement": "walking", "garden": "none", "island": "median", "verge": "none", "reserve": "median",
 }  # fmt: skip
 """Kind of a strip -> type of a lane."""
-SHORTEST_M, LEAST_M = 0.2, 1e-6
-"""Of a piece of the ring, and of any piece of a line."""
+SHORTEST_M = 0.2
+"""Of a piece of the ring."""
 CENTRE = {"dashed": "broken", "solid": "solid", "double": "solid solid", "none": "none"}
 
 
@@ -112,9 +123,6 @@ def _heights(line: ReferenceLine) -> list[Cubic]:
 
 # -- junctions
 
-Pose = tuple[float, float, float]
-"""x, y [m] and heading from +X [rad]."""
-
 
 def _through(
     network: Network,
@@ -141,30 +149,6 @@ def _through(
     ends = ("road", begin[0], begin[2]), ("road", end[0], end[2])
     network.roads.append(OpenRoad(number, "way", pieces, [lane], offset=offset, junction=junction, ends=ends))
     return begin[0], number, begin[1], -1
-
-
-def _turn(begin: Pose, end: Pose) -> list[LinePiece]:
-    """Straight, arc and straight from one pose to another."""
-    (x, y, h), (to_x, to_y, to_h) = begin, end
-    turn = math.remainder(to_h - h, 2.0 * math.pi)
-    along, aside = (
-        (to_x - x) * math.cos(h) + (to_y - y) * math.sin(h),
-        (to_y - y) * math.cos(h) - (to_x - x) * math.sin(h),
-    )
-    if abs(turn) < 1e-9:
-        return [LinePiece(x, y, h, along)]
-    second = aside / math.sin(turn)  # from the corner where the two straights meet
-    first = along - second * math.cos(turn)
-    reach = min(first, second)
-    radius = reach / math.tan(abs(turn) / 2.0)
-    pieces = [LinePiece(x, y, h, first - reach)] if first - reach > LEAST_M else []
-    arc = LinePiece(
-        *(pieces[0].after() if pieces else begin), radius * abs(turn), *(math.copysign(1.0 / radius, turn),) * 2
-    )
-    pieces.append(arc)
-    if second - reach > LEAST_M:
-        pieces.append(LinePiece(*arc.after(), second - reach))
-    return pieces
 
 
 def _of_crossing(site: Crossing) -> Network:
@@ -198,7 +182,7 @@ def _of_crossing(site: Crossing) -> Network:
                 near, far = _mouth(arm, 1), _mouth(goal, -1)
                 widths = arm.strips[0].widths[0][1], goal.strips[0].widths[0][1]
                 ways.append(
-                    _through(network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), _turn(near, far), widths)
+                    _through(network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), bend(near, far), widths)
                 )
     network.junctions.append(Junction(1, "crossing", ways))
     return network

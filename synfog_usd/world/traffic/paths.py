@@ -6,9 +6,10 @@ on them.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +25,7 @@ from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import ZEBRA_HALF_M, Roundabout
 from synfog_usd.world.spec import Site
 from synfog_usd.world.traffic.signals import MAIN, SIDE
+from synfog_usd.world.traffic.xodr import bend
 
 STEP_M = 0.5
 FAR_M = 15.0
@@ -38,6 +40,12 @@ AT_LINE_M = 0.5
 """Between a bumper and the line that it waits at."""
 ZEBRA_LINE_M = 2.9
 """From the middle of a zebra to where bumpers wait."""
+HOLDS_M = 2.0
+"""From where a turn to the left begins to where bumpers wait for those who come towards it."""
+TURN_S, TURN = 6.0, 0.2
+"""Time for which a turn to the left needs the road, and share of those who turn to a side."""
+INDICATES_M = 30.0
+"""Before a junction."""
 FOOTWAY_X, FOOTWAY_Y = 8.3, 6.6
 """Middles of the pavements of the crossing's main and side street [m]."""
 ZEBRA_X, ZEBRA_Y = crossing.ZEBRA_SIDE + crossing.ZEBRA_DEPTH / 2, crossing.ZEBRA + crossing.ZEBRA_DEPTH / 2
@@ -117,10 +125,12 @@ class GiveWay:
     Attributes:
         s: of the line, along the route [m].
         meet: x, y where the route meets theirs [m].
+        free_s: who comes there within this time is waited for [s].
     """
 
     s: float
     meet: tuple[float, float]
+    free_s: float = 3.5
 
 
 @dataclass(frozen=True)
@@ -161,6 +171,9 @@ class Route:
         gives_way: lines before other traffic.
         turns: (from, to) [m] and side, 1 for left and -1 for right, where an indicator blinks.
         left, right: numbers of the lanes beside it that go the same way, -1 for none.
+        holds: where one waits for what would stop one before the second of these stations [m].
+        kind: of the lane; share: of those who come to its beginning, over that of others from there.
+        begins: station at which the drawn road begins [m].
     """
 
     path: Path
@@ -170,6 +183,32 @@ class Route:
     turns: tuple[tuple[float, float, int], ...] = field(default=())
     left: int = -1
     right: int = -1
+    holds: tuple[float, float] | None = None
+    kind: str = "lane"
+    share: float = 1.0
+    begins: float = 0.0
+
+    @cached_property
+    def tight(self) -> float:
+        """Radius of its tightest bend [m]."""
+        return 1.0 / max(float(np.abs(self.path.curvature).max()), 1e-6)
+
+    def led(self, way_m: float) -> Route:
+        """The same with a straight way to its beginning, outside of the drawn road."""
+        count = math.ceil(way_m / STEP_M)
+        h, by = float(self.path.heading[0]), count * STEP_M
+        steps = np.arange(-count, 0)[:, None] * STEP_M
+        lead = self.path.points[0] + steps * (-math.sin(h), math.cos(h))
+        return replace(
+            self,
+            path=Path(np.concatenate([lead, self.path.points]), self.path.width),
+            signals=tuple(replace(line, s=line.s + by) for line in self.signals),
+            zebras=tuple(s + by for s in self.zebras),
+            gives_way=tuple(replace(line, s=line.s + by) for line in self.gives_way),
+            turns=tuple((begin + by, end + by, way) for begin, end, way in self.turns),
+            holds=None if self.holds is None else (self.holds[0] + by, self.holds[1] + by),
+            begins=self.begins + by,
+        )
 
 
 def routes(site: Site) -> list[Route]:
@@ -216,7 +255,8 @@ def _of_road(road: Road) -> Iterator[Route]:
         path = Path(np.stack(line.place(s, lane.middle), axis=1)[::way], lane.width)
         at = sorted(float(path.nearest(np.stack(line.place(zebra, lane.middle)))[0]) for zebra in road.zebras)
         low, high = (_beside(lanes, lane, edge) for edge in (lane.low, lane.high))
-        yield Route(path, zebras=tuple(at), left=low if way > 0 else high, right=high if way > 0 else low)
+        left, right = (low, high) if way > 0 else (high, low)
+        yield Route(path, zebras=tuple(at), left=left, right=right, kind=lane.kind)
 
 
 def _beside(lanes: Sequence[Lane], lane: Lane, edge: float) -> int:
@@ -238,23 +278,93 @@ def _pavements(road: Road) -> Iterator[Path]:
 # -- the crossing
 
 
+@dataclass(frozen=True)
+class _Lane:
+    """A lane over the crossing, along which one goes straight on.
+
+    Attributes:
+        begin, end: x, y [m].
+        line: from the middle of the crossing to its line before the signal, and to the middle of its zebra [m].
+        zebra: the same for the zebra behind the crossing.
+        width: [m].
+        street: MAIN or SIDE.
+    """
+
+    begin: tuple[float, float]
+    end: tuple[float, float]
+    line: float
+    zebra: float
+    width: float
+    street: int
+
+    @property
+    def ahead(self) -> Array:
+        """(2,) where it goes."""
+        way = np.subtract(self.end, self.begin)
+        return np.asarray(way / np.hypot(*way))
+
+    @property
+    def middle(self) -> Array:
+        """(2,) its point nearest to the middle of the crossing [m]."""
+        return np.asarray(self.begin - self.ahead * (self.ahead @ self.begin))
+
+    def place(self, along: float) -> tuple[float, float]:
+        """x, y [m] at a distance behind the middle of the crossing."""
+        x, y = self.middle + along * self.ahead
+        return float(x), float(y)
+
+    def pose(self, along: float) -> tuple[float, float, float]:
+        """The same, and the heading from +X [rad]."""
+        return *self.place(along), math.atan2(self.ahead[1], self.ahead[0])
+
+
 def _of_crossing(site: Crossing) -> Iterator[Route]:
-    """Straight on: nobody turns."""
-    for across, begin, end, stop in (
-        (1.76, -crossing.SOUTH, crossing.NORTH, -STOP),
-        (-1.8, crossing.NORTH, -crossing.SOUTH, STOP),
-    ):
-        yield _straight((across, begin), (across, end), abs(stop - begin), crossing.LANE_M, MAIN)
-    for across, begin, end, stop in (
-        (-2.08, -crossing.SIDE, crossing.SIDE, -STOP_SIDE),
-        (2.12, crossing.SIDE, -crossing.SIDE, STOP_SIDE),
-    ):
-        yield _straight((begin, across), (end, across), abs(stop - begin), crossing.SIDE_HALF, SIDE)
+    """Straight on, then to the right and to the left of each lane."""
+    lanes = [
+        _Lane((1.76, -crossing.SOUTH), (1.76, crossing.NORTH), STOP, ZEBRA_Y, crossing.LANE_M, MAIN),
+        _Lane((-1.8, crossing.NORTH), (-1.8, -crossing.SOUTH), STOP, ZEBRA_Y, crossing.LANE_M, MAIN),
+        _Lane((-crossing.SIDE, -2.08), (crossing.SIDE, -2.08), STOP_SIDE, ZEBRA_X, crossing.SIDE_HALF, SIDE),
+        _Lane((crossing.SIDE, 2.12), (-crossing.SIDE, 2.12), STOP_SIDE, ZEBRA_X, crossing.SIDE_HALF, SIDE),
+    ]
+    straight = [
+        Route(
+            Path(rounded(np.array([lane.begin, lane.end]), 0.0), lane.width),
+            signals=(
+                StopLine(float(np.hypot(*np.subtract(lane.place(-lane.line), lane.begin))) + AT_LINE_M, lane.street),
+            ),
+            share=1.0 - 2.0 * TURN,
+        )
+        for lane in lanes
+    ]
+    yield from straight
+    for lane, on in zip(lanes, straight, strict=True):
+        oncoming = next(route for other, route in zip(lanes, straight, strict=True) if other.ahead @ lane.ahead < -0.5)
+        for goal in lanes:
+            if goal.street != lane.street:
+                yield _turning(lane, goal, on, oncoming)
 
 
-def _straight(begin: tuple[float, float], end: tuple[float, float], line: float, width: float, street: int) -> Route:
-    path = Path(rounded(np.array([begin, end]), 0.0), width)
-    return Route(path, signals=(StopLine(line + AT_LINE_M, street),))
+def _turning(lane: _Lane, goal: _Lane, on: Route, oncoming: Route) -> Route:
+    """From one lane of the crossing into another; to the left one gives way to those who come towards it."""
+    pieces = bend(lane.pose(-lane.line), goal.pose(goal.line))
+    through = [[replace(piece, length=s).after()[:2] for s in np.arange(0.0, piece.length, STEP_M)] for piece in pieces]
+    corners = [lane.begin, *itertools.chain.from_iterable(through), goal.place(goal.line), goal.end]
+    path = Path(rounded(np.array(corners)), lane.width)
+    side = 1 if lane.ahead[0] * goal.ahead[1] - lane.ahead[1] * goal.ahead[0] > 0.0 else -1
+    arc = next(piece for piece in pieces if piece.begin)
+    begins, leaves, zebra = (
+        float(path.nearest(np.array(place))[0]) for place in ((arc.x, arc.y), arc.after()[:2], goal.place(goal.zebra))
+    )
+    route = Route(
+        path, on.signals, (zebra,), turns=((on.signals[0].s - INDICATES_M, leaves, side),), share=TURN
+    )  # fmt: skip
+    if side < 0:
+        return route
+    line = begins + HOLDS_M
+    aside = np.where(path.s > line, np.abs(oncoming.path.nearest(path.points)[1]), np.inf)
+    meets = path.points[int(np.argmin(aside))], np.array(goal.place(goal.zebra - 4.0))
+    gates = tuple(GiveWay(line, (float(x), float(y)), TURN_S) for x, y in meets)
+    return replace(route, gives_way=gates, holds=(line, zebra + ZEBRA_LINE_M))
 
 
 def _of_crossing_pavements(site: Crossing) -> Iterator[Path]:

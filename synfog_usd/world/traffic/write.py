@@ -60,7 +60,7 @@ def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tra
     order(prim, names)
     if not track.shown.all():
         shown = ["inherited" if item else "invisible" for item in track.shown]
-        sample(layer, attribute(prim, "visibility", KINDS.Token, "inherited"), codes, shown)
+        sample(layer, attribute(prim, "visibility", KINDS.Token, shown[1]), codes, shown)
     if p.group == "Vehicles":
         h, up = np.radians(track.heading), np.radians(track.pitch)
         ahead = np.stack([-np.sin(h) * np.cos(up), np.cos(h) * np.cos(up), np.sin(up)], axis=1)

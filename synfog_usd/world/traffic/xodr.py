@@ -18,6 +18,12 @@ from synfog_usd.base.files import write_bytes
 
 Cubic = tuple[float, float, float, float, float]
 """s from where it holds [m], and a, b, c, d of a + b ds + c ds^2 + d ds^3."""
+Pose = tuple[float, float, float]
+"""x, y [m] and heading from +X [rad]."""
+LEAST_M = 1e-6
+"""Of any piece of a line."""
+WIDEST_M = 12.0
+"""Radius of a turn through a junction, at most: a wider one would cut into the lane that comes towards it."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,36 @@ class LinePiece:
     begin: float = 0.0
     end: float = 0.0
 
-    def after(self) -> tuple[float, float, float]:
+    def after(self) -> Pose:
         """Where a line or an arc ends."""
         turn = self.begin * self.length
         chord = self.length if not self.begin else 2.0 * math.sin(turn / 2.0) / self.begin
         way = self.hdg + turn / 2.0
         return self.x + chord * math.cos(way), self.y + chord * math.sin(way), self.hdg + turn
+
+
+def bend(begin: Pose, end: Pose) -> list[LinePiece]:
+    """Straight, arc and straight from one pose to another, the arc as wide as fits, up to WIDEST_M."""
+    (x, y, h), (to_x, to_y, to_h) = begin, end
+    turn = math.remainder(to_h - h, 2.0 * math.pi)
+    along, aside = (
+        (to_x - x) * math.cos(h) + (to_y - y) * math.sin(h),
+        (to_y - y) * math.cos(h) - (to_x - x) * math.sin(h),
+    )
+    if abs(turn) < 1e-9:
+        return [LinePiece(x, y, h, along)]
+    second = aside / math.sin(turn)  # from the corner where the two straights meet
+    first = along - second * math.cos(turn)
+    reach = min(first, second, WIDEST_M * math.tan(abs(turn) / 2.0))
+    radius = reach / math.tan(abs(turn) / 2.0)
+    pieces = [LinePiece(x, y, h, first - reach)] if first - reach > LEAST_M else []
+    arc = LinePiece(
+        *(pieces[0].after() if pieces else begin), radius * abs(turn), *(math.copysign(1.0 / radius, turn),) * 2
+    )
+    pieces.append(arc)
+    if second - reach > LEAST_M:
+        pieces.append(LinePiece(*arc.after(), second - reach))
+    return pieces
 
 
 @dataclass(frozen=True)
