@@ -6,7 +6,6 @@ The carriageway is z = 0, pavements lie `KERB_M` above.  Lengths in metres.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,13 +29,7 @@ BAY_M, BAYS_Y = 5.8, ((-60.6, -20.0), (20.0, 240.4))  # of the main street: leng
 
 def ground_height(x: float, y: float) -> float:
     """Height of the ground [m] within the streets: 0 on the carriageway, `KERB_M` on the pavement."""
-    ax, ay = abs(x), abs(y)
-    if ax < MAIN_HALF or ay < SIDE_HALF:
-        return 0.0
-    dx, dy = MAIN_HALF + CORNER - ax, SIDE_HALF + CORNER - ay
-    if dx > 0 and dy > 0 and math.hypot(dx, dy) > CORNER:
-        return 0.0
-    return KERB_M
+    return float(Crossing().height(x, y))
 
 
 @dataclass(frozen=True)
@@ -45,4 +38,7 @@ class Crossing:
 
     def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Height of the ground [m] at places within the streets."""
-        return np.asarray(np.vectorize(ground_height, otypes=[np.float64])(x, y))
+        ax, ay = np.abs(np.asarray(x, dtype=np.float64)), np.abs(np.asarray(y, dtype=np.float64))
+        dx, dy = MAIN_HALF + CORNER - ax, SIDE_HALF + CORNER - ay
+        road = (ax < MAIN_HALF) | (ay < SIDE_HALF) | ((dx > 0) & (dy > 0) & (np.hypot(dx, dy) > CORNER))
+        return np.where(road, 0.0, KERB_M)

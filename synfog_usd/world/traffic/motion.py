@@ -17,7 +17,6 @@ from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.seeds import stream
 from synfog_usd.world.roads import rules
-from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.stage import KINDS
 from synfog_usd.world.roads.traffic import OWN_CAR_M
@@ -45,6 +44,8 @@ BRAKES_M_S2, STANDS_M_S = -0.6, 0.1
 BLINKS_HZ = 1.5
 LONG_M, WIDE_M = 6.5, 20.0
 """Vehicles longer than this take bends of less than this radius only where they have to."""
+TOO_FAST = 1.5
+"""Over the speed at which a bend ahead is approached: who is faster takes another way."""
 FASTEST, LEAD_M = 1.3, 40.0
 """Speed over the recipe's of the fastest, and way beyond what they go in a clip, for the lanes' ways outside."""
 LEAST_SPAN_M, APART_M, MOST_INCOMING = 200.0, 4.0, 100
@@ -284,7 +285,7 @@ def _in_lane(
 def _drawn(rng: np.random.Generator, ways: Sequence[tuple[Route, float]], length: float, v: float) -> int:
     """Number of the one among routes from stations that a vehicle of a length [m] and speed [m/s] takes."""
     easy = [
-        (length < LONG_M or route.tight > WIDE_M) and v < np.interp(s, route.path.s, route.path.limit) + 0.1
+        (length < LONG_M or route.tight > WIDE_M) and v < TOO_FAST * np.interp(s, route.path.s, route.path.limit)
         for route, s in ways
     ]
     share = np.array([route.share * (fits or not any(easy)) for (route, _), fits in zip(ways, easy, strict=True)])
@@ -302,10 +303,10 @@ def _incoming(
         for index, vehicle in zip(who, vehicles, strict=True)
         if index >= 0 and ways[vehicle.route].kind == "lane" and spec.placed[index].asset not in RIDDEN
     ]
-    entries: dict[tuple[float, float], list[int]] = {}
+    entries: dict[tuple[float, ...], list[int]] = {}
     for number, way in enumerate(ways):
         if way.kind == "lane":
-            entries.setdefault((float(way.path.points[0, 0]), float(way.path.points[0, 1])), []).append(number)
+            entries.setdefault(tuple(np.round(way.path.points[0], 3).tolist()), []).append(number)
     stations = [[vehicle.s for vehicle in vehicles if vehicle.route == number] for number in range(len(ways))]
     span = max(LEAST_SPAN_M, *(float(np.ptp(of_way)) for of_way in stations if of_way))
     per_s = len(models) / len(entries) / span * pace.speed_m_s
@@ -370,8 +371,6 @@ def _posts(spec: WorldSpec) -> list[Array]:
 
 def ground(site: Site, x: Array, y: Array) -> Array:
     """Height of the ground [m] at places."""
-    if isinstance(site, Crossing):
-        return np.array([site.height(float(a), float(b)) for a, b in zip(x, y, strict=True)])
     return np.asarray(site.height(x, y), dtype=np.float64)
 
 

@@ -32,7 +32,7 @@ FAR_M = 15.0
 """From a path; what is farther away is not beside it."""
 SIDEWAYS = 2.9
 """Acceleration at which drivers take bends [m/s2]: 0.3 g."""
-EASING = 1.5
+EASING = 1.1
 """Deceleration before bends [m/s2]."""
 ROUNDED_M = 4.0
 """Over which a driver turns the wheel where a straight meets an arc."""
@@ -42,7 +42,7 @@ ZEBRA_LINE_M = 2.9
 """From the middle of a zebra to where bumpers wait."""
 HOLDS_M = 2.0
 """From where a turn to the left begins to where bumpers wait for those who come towards it."""
-TURN_S, TURN = 6.0, 0.2
+TURN_S, TURN = 6.0, 0.3
 """Time for which a turn to the left needs the road, and share of those who turn to a side."""
 INDICATES_M = 30.0
 """Before a junction."""

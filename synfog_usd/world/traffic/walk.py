@@ -1,17 +1,19 @@
 """People on foot: along the pavement, or over the zebra and on along the pavement behind it.
 
-Everyone's way is planned after those of who is before them, and passes what stands and who walks: somewhat to the side,
-or slower, or not at all.  Takes who walks and the pavements; gives places at even steps of time.  Knows nothing of
-models or stages.
+Everyone's way is planned after those of who is before them, and anew where it was stuck.  It passes what stands and
+who walks: somewhat to the side, or slower, or not at all.  Takes who walks and the pavements; gives places at even
+steps of time.  Knows nothing of models or stages.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
 from synfog_usd.base.arrays import Array
@@ -39,12 +41,16 @@ EDGE_M = 0.35
 CROSSES_M = 16.0
 """Longest way over a road that is looked for."""
 BEYOND_M = 25.0
-CROSSING_M, CORNER_M = 0.5, 2.5
+CROSSING_M, CORNER_M = 0.85, 2.5
 """By which people go aside on their way over a road, and over which they turn into the pavement behind it."""
 KERB_M = 0.35
 """Between who waits and the kerb."""
 PAUSES_S = (2.0, 4.0, 8.0, np.inf)
 """How long somebody stands still who can go no other way."""
+NEAR_M = 4.0
+"""Between middles of those whose outlines may meet."""
+AGAIN, FAR = 2, 0.6
+"""Rounds in which those look for a way anew, once all others have one, who came less far than this share of theirs."""
 EVERY = 2
 """Room is asked for at each step with a number divisible by it."""
 
@@ -129,6 +135,14 @@ class Way:
         return np.stack([x, y, h - lean + self.turn * np.exp(-travel / 1.5)], axis=-1)
 
 
+@dataclass(frozen=True)
+class Others:
+    """Everyone else near somebody: (M, K, 2) middles [m] and (M, K) outlines at every step that is looked at."""
+
+    middles: Array
+    outlines: npt.NDArray[np.object_]
+
+
 def plan(
     walkers: Sequence[Walker],
     ways: Sequence[Path],
@@ -159,12 +173,16 @@ def plan(
         result[:, number, :3] = walker.x, walker.y, walker.heading
     stands = shapely.STRtree([shapely.Polygon(corners) for corners in fixed])
     order = sorted(range(len(walkers)), key=lambda k: -routes[k].s)
-    for number in order:
+    for number in itertools.chain(order, *[order] * AGAIN):
         walker, way = walkers[number], routes[number]
+        if result[-1, number, 3] >= FAR * way.travel(walker.speed, times)[-1] > 0.0:
+            continue  # has come far enough in the round before
         away = np.hypot(*(result[..., :2] - (walker.x, walker.y)).T).min(axis=1)
         near = [k for k in np.flatnonzero(away < walker.speed * times[-1] + 3.0) if k != number]
-        neighbours = [outlines(result[::EVERY, k, :3], walkers[k].box) for k in near]
-        result[:, number] = _chosen(walker, way, times, stands, neighbours)
+        boxes = np.zeros((len(near), len(result[::EVERY]), 4, 2))
+        for row, k in enumerate(near):
+            boxes[row] = outlines(result[::EVERY, k, :3], walkers[k].box)
+        result[:, number] = _chosen(walker, way, times, stands, Others(boxes.mean(axis=2), shapely.polygons(boxes)))
     return result
 
 
@@ -177,7 +195,7 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
     return np.stack([places[:, :1] + x * c - y * s, places[:, 1:2] + x * s + y * c], axis=-1)
 
 
-def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, neighbours: Sequence[Array]) -> Array:
+def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, others: Others) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     farthest = 0
     for slower in SLOWER:
@@ -185,7 +203,7 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, nei
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
-            free = _free_until(way.position(travel, shift), walker, stands, neighbours)
+            free = _free_until(way.position(travel, shift), walker, stands, others)
             if free == len(times):
                 return np.c_[way.position(travel, shift), travel]
             farthest = max(farthest, free)
@@ -196,22 +214,19 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, nei
             travel = np.maximum.accumulate(
                 np.where(times < times[stop] + pause, np.minimum(travel, usual[stop]), travel)
             )
-            if _free_until(way.position(travel, 0.0), walker, stands, neighbours) == len(times):
+            if _free_until(way.position(travel, 0.0), walker, stands, others) == len(times):
                 return np.c_[way.position(travel, 0.0), travel]
     travel = np.zeros(len(times))
     return np.c_[np.tile((walker.x, walker.y, walker.heading), (len(times), 1)), travel]
 
 
-def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, neighbours: Sequence[Array]) -> int:
+def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, others: Others) -> int:
     """Number of the step at which somebody runs into something; the number of steps where nobody does."""
-    mine = shapely.polygons(outlines(places[::EVERY], walker.box, ROOM_M))
-    hits = [stands.query(mine, predicate="intersects")[0]]
-    for neighbour in neighbours:
-        close = np.hypot(*(neighbour.mean(axis=1) - places[::EVERY, :2]).T) < 4.0
-        if close.any():
-            at = np.flatnonzero(close)
-            hits.append(at[shapely.intersects(mine[at], shapely.polygons(neighbour[at]))])
-    every = np.concatenate(hits)
+    looked = places[::EVERY]
+    mine = shapely.polygons(outlines(looked, walker.box, ROOM_M))
+    who, at = np.nonzero(((others.middles - looked[:, :2]) ** 2).sum(axis=-1) < NEAR_M**2)
+    meets = shapely.intersects(mine[at], others.outlines[who, at])
+    every = np.concatenate([stands.query(mine, predicate="intersects")[0], at[meets]])
     every = every[every > 0]  # as they were drawn they stand
     return int(every.min()) * EVERY if len(every) else len(places)
 
