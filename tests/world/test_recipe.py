@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from pxr import Gf, Usd, UsdGeom, UsdUtils
 from support import cli
 from support.outlines import apart, outline
 
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.world.compose import compose, draw, load
-from synfog_usd.world.roads import crossing_actors
+from synfog_usd.world.roads import crossing_actors, rules
 from synfog_usd.world.roads.crossing import MAIN_HALF, WALL_X, ground_height
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -192,3 +193,13 @@ def test_the_command_writes_a_stage_and_tells_what_stands_where(tmp_path):
         assert len(stage.GetPrimAtPath(f"/World/{name}").GetChildren()) == sum(
             p["group"] == name for p in printed["placed"]
         )
+
+
+@pytest.mark.parametrize("seed", [4, 13])
+def test_nobody_at_the_crossing_stands_in_a_tree(seed):
+    """Outlines of people keep apart from those of trunks, poles and benches."""
+    placed = spec(seed).placed
+    fixed = [shapely.Polygon(rules.footprint(p)) for p in placed if p.group in ("Plants", "Furniture")]
+    people = [shapely.Polygon(rules.footprint(p)) for p in placed if p.group == "People"]
+    assert len(people) > 15
+    assert not len(shapely.STRtree(fixed).query(people, predicate="intersects").T)

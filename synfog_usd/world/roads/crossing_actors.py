@@ -169,14 +169,17 @@ def _bound(
 
 @dataclass
 class _Apart:
-    """Room for people between middles: (x, y, least distance) [m] of everything that stands there."""
+    """Room for people between middles: (x, y, least distance) [m] of everything that stands there; and what has an
+    outline that nobody may be in.
+    """
 
     middles: list[tuple[float, float, float]]
+    fixed: rules.CollisionSet
 
     def take(self, p: Placement, margin: float = 0.0) -> bool:
         """Take a place that keeps its distance from all others."""
         free = all(math.hypot(p.x - x, p.y - y) >= least for x, y, least in self.middles)
-        if free:
+        if free := free and self.fixed.free(p, 0.0):
             self.add(p)
         return free
 
@@ -186,7 +189,7 @@ class _Apart:
 
     def copy(self) -> _Apart:
         """Another that goes on from here."""
-        return _Apart(list(self.middles))
+        return _Apart(list(self.middles), self.fixed)
 
 
 def walking(draws: Draws, waits: bool, fixed: Sequence[Placement]) -> list[Placement]:
@@ -197,11 +200,14 @@ def walking(draws: Draws, waits: bool, fixed: Sequence[Placement]) -> list[Place
         x, y, z, _, _ = _place(x, y, 0.0)
         yield x, y, z, round(float(heading), 1)
 
+    outlines = rules.CollisionSet()
+    for p in fixed:
+        outlines.add(p)
     walkers = people.walking(
         draws.recipe,
         people.Footways(places, most=1, tries=TRIES),
         lambda number: draws.stream("person", number),
-        _Apart([(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in fixed]),
+        _Apart([(p.x, p.y, ROOM_M.get(p.asset, ROOM_ELSE_M)) for p in fixed], outlines),
         count=draws.whole("people.count"),
         crossing_share=CROSSING_SHARE,
         company=0.0,
