@@ -14,7 +14,7 @@ from synfog_usd.world.library import nominal
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.traffic.cutting import read_part
-from synfog_usd.world.traffic.gait import gait, skeleton
+from synfog_usd.world.traffic.gait import gait, skeleton, standing
 from synfog_usd.world.traffic.limbs import limbs_of
 from synfog_usd.world.traffic.motion import ground
 from synfog_usd.world.traffic.walk import SPEED_M_S
@@ -72,6 +72,30 @@ def test_turns_have_no_jumps(asset, individual):
     for name, turn in walk.turns.items():
         assert np.abs(np.diff(turn)).max() < 15.0, name
     assert np.abs(np.diff(walk.rise)).max() < 0.01
+
+
+@pytest.mark.parametrize(("asset", "individual"), WALKERS)
+def test_who_waits_brings_the_feet_together(asset, individual):
+    """Between 2 and 4 s of a walk somebody stands: after a second both feet are flat on the ground below the hips, with
+    straight knees and hanging arms; when they go on no limb turns by more than 50 degrees in a twentieth of a second, a runner's by 90.
+    """
+    bones, t = skeleton(asset, individual), np.arange(-0.05, 6.0, 0.05)
+    speed = SPEED_M_S[asset]
+    travel = speed * (np.clip(t, 0.0, 2.0) + np.clip(t - 4.0, 0.0, None))
+    walk = gait(bones, travel, speed, standing(t, travel))
+    for name, turn in walk.turns.items():
+        assert abs(turn[1]) < 1e-6
+        assert np.abs(np.diff(turn[t > 1.0])).max() < (90.0 if speed > 2.0 else 50.0), name
+    frame = int(np.argmin(np.abs(t - 3.5)))
+    feet = np.array([places(bones, walk, frame, side) for side in (0, 1)])
+    assert np.abs(feet[:, 2, 1] - feet[:, 0, 1]).max() < 0.03
+    np.testing.assert_allclose(feet[0, 2, 1:], feet[1, 2, 1:], atol=0.02)
+    thighs, shins = feet[:, 1] - feet[:, 0], feet[:, 2] - feet[:, 1]
+    bent = np.arctan2(thighs[:, 1], -thighs[:, 2]) - np.arctan2(shins[:, 1], -shins[:, 2])
+    assert np.degrees(np.abs(bent)).max() < 25.0
+    for side in (0, 1):
+        low = min(feet[side, 2, 2], feet[side, 3, 2])
+        assert 0.0 < low < 0.12
 
 
 @pytest.mark.parametrize(("asset", "individual"), WALKERS)

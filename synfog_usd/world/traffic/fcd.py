@@ -279,7 +279,7 @@ def write(path: Path, spec: WorldSpec, clip: Clip) -> None:
         rows = [
             _row(spec, index, track, frame)
             for index, track in [(-1, clip.ego), *sorted(clip.tracks.items())]
-            if track.shown[frame] and (index < 0 or spec.placed[index].asset != "rider")
+            if track.shown[frame] and (index < 0 or (track.moves and spec.placed[index].asset != "rider"))
         ]
         for tag, row in sorted(rows, key=lambda row: row[0] == "person"):  # in the order of SUMO's schema
             ElementTree.SubElement(step, tag, row)

@@ -28,7 +28,7 @@ LEG_M = 0.84
 """Thigh and shin of an adult of 1.73 m, of whose size the lengths are that follow."""
 HEEL_M, SOLE_M = 0.035, 0.032
 """From an ankle down to the line from heel to toe, and from there to the sole."""
-RUNS_M_S = 2.0
+RUNS_M_S, STANDS_M_S = 2.0, 0.05
 FADES_M = 0.35
 """Way over which heights and angles of the model's own pose fade; its foot keeps its place until it is lifted."""
 BENT = 0.985
@@ -39,6 +39,9 @@ FIT = 48
 """Moments of the stride that are compared with the pose of the model."""
 HANG_DEG, SWING = -3.0, 0.75
 """Of an arm: its middle, and its angle over that of the thigh of the other side."""
+CLOSES_S, CLOSE_LIFT_M = 0.8, 0.04
+"""How long somebody takes who stands still to bring their feet together, or to part them, and how high they lift them.
+"""
 SKIRT = 0.5
 """Turn of a coat below the hip over that of the thigh."""
 
@@ -110,13 +113,29 @@ class Gait:
     rise: Array
 
 
-def gait(bones: Skeleton, travel: Array, speed: float) -> Gait:
+def standing(t: Array, travel: Array) -> Array:
+    """How far somebody's feet have come together, 0 in the stride to 1, who stands where `travel` [m] does not grow.
+
+    Args:
+        t: (F,) even times; at time 0 they are as their model has them [s].
+        travel: (F,) way that was gone [m].
+    """
+    goes = np.abs(np.gradient(travel, t)) > STANDS_M_S
+    share, step = np.zeros(len(t)), float(t[1] - t[0]) / CLOSES_S
+    for frame in range(1, len(t)):
+        change = -2.0 * step if goes[frame] else step
+        share[frame] = min(max(share[frame - 1] + change, 0.0), 1.0) if t[frame] > 0.0 else 0.0
+    return share
+
+
+def gait(bones: Skeleton, travel: Array, speed: float, stands: Array | float = 0.0) -> Gait:
     """Turns of limbs along a way.
 
     Args:
         bones: in the pose of the model, which is that of travel 0.
         travel: (F,) way that was gone [m].
         speed: usual [m/s], > 0; it makes the length of the stride.
+        stands: (F,) of `standing`.
     """
     legs = [_Leg.of(bones, side) for side in (0, 1)]
     length = legs[0].thigh + legs[0].shin
@@ -130,8 +149,14 @@ def gait(bones: Skeleton, travel: Array, speed: float) -> Gait:
     hip = hip + (legs[0].hip_z - rest[0]) * fade
     turns: dict[str, Array] = {}
     thighs = []
-    for side, (leg, phase) in enumerate(zip(legs, phases, strict=True)):
-        y, z, pitch = stride.foot(leg, phase, begin + 0.5 * side, fade)
+    feet = [
+        stride.foot(leg, phase, begin + 0.5 * k, fade) for k, (leg, phase) in enumerate(zip(legs, phases, strict=True))
+    ]
+    behind = feet[0][0] < feet[1][0]
+    closes = _smooth(2.0 * np.asarray(stands)), _smooth(2.0 * np.asarray(stands) - 1.0)  # of the foot behind, and ahead
+    hip = hip + (legs[0].heel[1] + STRAIGHT * length - hip) * closes[1]
+    for side, leg in enumerate(legs):
+        y, z, pitch = leg.closed(feet[side], np.where(behind == (side == 0), *closes))
         thigh, shin = leg.bend(y, z - hip)
         thighs.append(thigh)
         forward, bent = thigh - leg.thigh_turn, shin - leg.shin_turn
@@ -139,7 +164,7 @@ def gait(bones: Skeleton, travel: Array, speed: float) -> Gait:
         turns |= {f"{limb}_{SIDES[side]}": np.degrees(angle) for limb, angle in turned.items()}
     for side in (0, 1):
         if bones.swings[side]:
-            arm, elbow = _arm(bones, side, np.degrees(thighs[1 - side]), travel)
+            arm, elbow = _arm(bones, side, np.degrees(thighs[1 - side]), travel, closes[1])
             turns[f"Arm_{SIDES[side]}"], turns[f"Forearm_{SIDES[side]}"] = arm, elbow
     return Gait(turns, hip - legs[0].hip_z)
 
@@ -190,6 +215,12 @@ class _Leg:
         pivot = np.where(pitch < 0.0, self.sole, 0.0)
         y, z = self.heel[0] - pivot, self.heel[1]
         return heel + pivot + y * np.cos(pitch) - z * np.sin(pitch), y * np.sin(pitch) + z * np.cos(pitch)
+
+    def closed(self, foot: tuple[Array, Array, Array], share: Array) -> tuple[Array, Array, Array]:
+        """Ankle ahead of the hip, over the ground [m] and pitch of a foot that comes to a share below the hip."""
+        y, z, pitch = foot
+        lift = CLOSE_LIFT_M * np.sin(math.pi * share) ** 2
+        return y * (1.0 - share), z + (self.heel[1] - z) * share + lift, pitch * (1.0 - share)
 
     def bend(self, y: Array, z: Array) -> tuple[Array, Array]:
         """Angles of thigh and shin that bring the ankle to a place, seen from the hip [m]."""
@@ -256,13 +287,14 @@ class _Stride:
         return y + ahead * keeps, z + up + high * fade, pitch
 
 
-def _arm(bones: Skeleton, side: int, thigh: Array, travel: Array) -> tuple[Array, Array]:
-    """Turns of upper arm and forearm [degrees] against the thigh of the other side."""
+def _arm(bones: Skeleton, side: int, thigh: Array, travel: Array, hangs: Array) -> tuple[Array, Array]:
+    """Turns of upper arm and forearm [degrees] against the thigh of the other side, or straight down to a share."""
     upper = bones.elbows[side, 1:] - bones.shoulders[side, 1:]
     rest = math.degrees(math.atan2(upper[0], -upper[1]))
     arm = HANG_DEG + SWING * (thigh - 9.0)
-    still = np.interp(0.0, travel, arm)
+    still = arm[np.argmax(travel >= -1e-9)]
     arm = arm + (rest - still) * (1.0 - _smooth(travel / (3.0 * FADES_M)))
+    arm = arm + (HANG_DEG - arm) * hangs
     return arm - rest, 0.8 * (np.maximum(arm, 0.0) - max(rest, 0.0))
 
 

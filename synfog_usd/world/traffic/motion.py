@@ -111,7 +111,7 @@ class Clip:
     Attributes:
         fps: frames a second.
         codes: (F,) frames, from -1 to one behind the last: so that shutters open before the first and close after it.
-        tracks: what moves, by its number in `WorldSpec.placed`.
+        tracks: what moves, and who waits on foot, by its number in `WorldSpec.placed`.
         ego: the lens.
         signals: of each signal that changes, by its number in `WorldSpec.placed`: (F,) whether each lens is lit.
     """
@@ -180,7 +180,7 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> tuple[Wo
     for index, bicycle in _ridden(spec):
         if bicycle in tracks:
             tracks[index] = tracks[bicycle]
-    moving = {index: track for index, track in tracks.items() if track.moves and track.shown.any()}
+    moving = {i: track for i, track in tracks.items() if (track.moves or i in walkers) and track.shown.any()}
     kept = [index for index in range(len(spec.placed)) if index < drawn or index in moving]
     spec = replace(spec, placed=tuple(spec.placed[index] for index in kept))
     moving = {number: moving[index] for number, index in enumerate(kept) if index in moving}

@@ -35,19 +35,19 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     for index, track in sorted(clip.tracks.items()):
         p = spec.placed[index]
         prim = layer.GetPrimAtPath(f"/World/{p.group}/{p.name}")
-        _author_track(layer, prim, p, track, clip.codes)
+        _author_track(layer, prim, p, track, clip)
         if p.group == "Vehicles":
             author_vehicle(layer, prim, p, track, clip.codes)
         else:
-            author_walker(layer, prim, p, track, clip.codes)
+            author_walker(layer, prim, p, track, clip)
     for index, lenses in sorted(clip.signals.items()):
         author_signal(layer, spec.placed[index], lenses, clip.codes)
     _author_cameras(layer, spec, clip)
 
 
-def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
-    names = ["xformOp:translate"]
-    rise = rise_of(p, track) if p.group == "People" else 0.0
+def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, clip: Clip) -> None:
+    names, codes = ["xformOp:translate"], clip.codes
+    rise = rise_of(p, track, codes / clip.fps) if p.group == "People" else 0.0
     places = np.round(np.stack([track.x, track.y, track.z + rise], axis=1), 4)
     sample(layer, prim.attributes[names[0]].path, codes, [Gf.Vec3d(*row) for row in places.tolist()])
     for axis, angle in (("Z", track.heading), ("X", track.pitch), ("Y", track.roll)):

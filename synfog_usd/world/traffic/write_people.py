@@ -9,33 +9,39 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.world.components import author_mesh
 from synfog_usd.world.shapes import shift
 from synfog_usd.world.spec import Placement
-from synfog_usd.world.traffic.gait import gait, skeleton
+from synfog_usd.world.traffic.gait import Gait, gait, skeleton, standing
 from synfog_usd.world.traffic.limbs import Limb, Limbs, limbs_of
-from synfog_usd.world.traffic.motion import Track
+from synfog_usd.world.traffic.motion import Clip, Track
 from synfog_usd.world.traffic.samples import KINDS, attribute, begin, bound, geometry, keep, refer, sample
 
 
-def rise_of(p: Placement, track: Track) -> Array:
-    """(F,) by how much the hips of somebody are higher than in the pose of their model [m]."""
+def _gait(p: Placement, track: Track, t: Array) -> Gait | None:
+    """How somebody goes at times [s]; None for a model without joints."""
     bones = skeleton(p.asset, individual(p))
-    return np.zeros(len(track.x)) if bones is None else gait(bones, track.travel, pace(track)).rise * p.size
+    if bones is None:
+        return None
+    return gait(bones, track.travel / p.size, pace(track), standing(t, track.travel))
 
 
-def author_walker(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, codes: Array) -> None:
+def rise_of(p: Placement, track: Track, t: Array) -> Array:
+    """(F,) by how much the hips of somebody are higher than in the pose of their model [m]."""
+    walk = _gait(p, track, t)
+    return np.zeros(len(track.x)) if walk is None else walk.rise * p.size
+
+
+def author_walker(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, clip: Clip) -> None:
     """Limbs of somebody who walks."""
     meshes, parts = geometry(p)
-    bones = skeleton(p.asset, individual(p))
-    limbs = limbs_of(meshes, p.asset, individual(p))
-    if limbs is None or bones is None:
+    walk, limbs = _gait(p, track, clip.codes / clip.fps), limbs_of(meshes, p.asset, individual(p))
+    if limbs is None or walk is None:
         return
     if not layer.GetPrimAtPath(parts):
         _author_parts(layer, parts, limbs)
     refer(prim, parts)
-    turns = gait(bones, track.travel / p.size, pace(track)).turns
     for limb in limbs.limbs:
         over = Sdf.CreatePrimInLayer(layer, prim.path.AppendPath(_place(limb, limbs)))
-        angles = np.round(turns[limb.name], 2) + 0.0
-        sample(layer, attribute(over, "xformOp:rotateX", KINDS.Float), codes, angles.tolist())
+        angles = np.round(walk.turns[limb.name], 2) + 0.0
+        sample(layer, attribute(over, "xformOp:rotateX", KINDS.Float), clip.codes, angles.tolist())
 
 
 def individual(p: Placement) -> str:
