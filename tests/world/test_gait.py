@@ -77,7 +77,7 @@ def test_turns_have_no_jumps(asset, individual):
 @pytest.mark.parametrize(("asset", "individual"), WALKERS)
 def test_who_waits_brings_the_feet_together(asset, individual):
     """Between 2 and 4 s of a walk somebody stands: after a second both feet are flat on the ground below the hips, with
-    straight knees and hanging arms; when they go on no limb turns by more than 50 degrees in a twentieth of a second, a runner's by 90.
+    straight knees.  No limb jumps: 50 degrees in a twentieth of a second are the most, of a runner's 90.
     """
     bones, t = skeleton(asset, individual), np.arange(-0.05, 6.0, 0.05)
     speed = SPEED_M_S[asset]
