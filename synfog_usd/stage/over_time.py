@@ -225,9 +225,9 @@ def _rides(a: User, b: User) -> bool:
 def _jumps(user: User, codes: Array, step_s: float) -> Iterator[Finding]:
     """A step that differs from the one before by more than any driver brakes or turns."""
     way = np.diff(user.foot, axis=0)
-    seen = user.shown[1:] & user.shown[:-1]
-    change = np.r_[0.0, np.linalg.norm(np.diff(way, axis=0), axis=1) * (seen[1:] & seen[:-1])]
-    length = np.linalg.norm(way, axis=1) * seen
+    both = user.shown[1:] & user.shown[:-1]
+    change = np.r_[0.0, np.linalg.norm(np.diff(way, axis=0), axis=1) * (both[1:] & both[:-1])]
+    length = np.linalg.norm(way, axis=1) * both
     bad = (change > max(JUMP_M, HARDEST * step_s**2)) | (length > max(JUMP_M, FASTEST * step_s))
     if bad.any():
         k = int(np.argmax(bad))
@@ -328,9 +328,9 @@ def _lanes(stage: Usd.Stage) -> shapely.Geometry | None:
             continue
         matrix = np.array(curves.ComputeLocalToWorldTransform(Usd.TimeCode.Default())) @ to_metres
         edges = np.asarray(points, dtype=np.float64) @ matrix[:3, :3] + matrix[3, :3]
-        left, right = edges[: counts[0], :2], edges[counts[0] :, :2]
         if np.isfinite(edges).all():
-            areas.append(shapely.Polygon(np.concatenate([left, right[::-1]])).buffer(OFF_M))
+            outline = np.concatenate([edges[: counts[0]], edges[counts[0] :][::-1]])
+            areas.append(shapely.Polygon(outline[:, :2]).buffer(OFF_M))
     return shapely.union_all(areas) if areas else None
 
 

@@ -143,9 +143,9 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> tuple[Wo
     ways = [way.led(FASTEST * pace.speed_m_s * float(t[-1]) + LEAD_M) for way in routes(spec.road)]
     who, vehicles = _vehicles(spec, ways, pace)
     walkers = _walkers(spec)
-    drawn = len(spec.placed)
+    count = len(spec.placed)
     spec, coming = _incoming(spec, ways, who, vehicles, pace, float(t[-1]))
-    who, vehicles = [*who, *range(drawn, len(spec.placed))], [*vehicles, *coming]
+    who, vehicles = [*who, *range(count, len(spec.placed))], [*vehicles, *coming]
     steps = np.arange(0.0, t[-1] + LOOK_S + 2 * STEP_S, STEP_S)
     move = {*walkers, *who, *(rider for rider, _ in _ridden(spec))}
     still = (p for i, p in enumerate(spec.placed) if i not in move and p.group not in PASSED)
@@ -181,10 +181,15 @@ def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> tuple[Wo
         if bicycle in tracks:
             tracks[index] = tracks[bicycle]
     moving = {i: track for i, track in tracks.items() if (track.moves or i in walkers) and track.shown.any()}
-    kept = [index for index in range(len(spec.placed)) if index < drawn or index in moving]
-    spec = replace(spec, placed=tuple(spec.placed[index] for index in kept))
-    moving = {number: moving[index] for number, index in enumerate(kept) if index in moving}
+    spec, moving = _shown(spec, count, moving)
     return spec, Clip(fps, codes, moving, ego, _signals(spec, phases, t))
+
+
+def _shown(spec: WorldSpec, count: int, tracks: Mapping[int, Track]) -> tuple[WorldSpec, dict[int, Track]]:
+    """A street without those behind the first `count` who have no track, and the tracks by its numbers."""
+    numbers = [index for index in range(len(spec.placed)) if index < count or index in tracks]
+    placed = tuple(spec.placed[index] for index in numbers)
+    return replace(spec, placed=placed), {k: tracks[index] for k, index in enumerate(numbers) if index in tracks}
 
 
 # -- who there is

@@ -255,8 +255,8 @@ def _of_road(road: Road) -> Iterator[Route]:
         path = Path(np.stack(line.place(s, lane.middle), axis=1)[::way], lane.width)
         at = sorted(float(path.nearest(np.stack(line.place(zebra, lane.middle)))[0]) for zebra in road.zebras)
         low, high = (_beside(lanes, lane, edge) for edge in (lane.low, lane.high))
-        left, right = (low, high) if way > 0 else (high, low)
-        yield Route(path, zebras=tuple(at), left=left, right=right, kind=lane.kind)
+        low, high = (low, high) if way > 0 else (high, low)
+        yield Route(path, zebras=tuple(at), left=low, right=high, kind=lane.kind)
 
 
 def _beside(lanes: Sequence[Lane], lane: Lane, edge: float) -> int:
@@ -338,7 +338,7 @@ def _of_crossing(site: Crossing) -> Iterator[Route]:
     ]
     yield from straight
     for lane, on in zip(lanes, straight, strict=True):
-        oncoming = next(route for other, route in zip(lanes, straight, strict=True) if other.ahead @ lane.ahead < -0.5)
+        oncoming = next(route for goal, route in zip(lanes, straight, strict=True) if goal.ahead @ lane.ahead < -0.5)
         for goal in lanes:
             if goal.street != lane.street:
                 yield _turning(lane, goal, on, oncoming)

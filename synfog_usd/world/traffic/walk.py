@@ -136,7 +136,7 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Others:
+class Crowd:
     """Everyone else near somebody: (M, K, 2) middles [m] and (M, K) outlines at every step that is looked at."""
 
     middles: Array
@@ -182,7 +182,7 @@ def plan(
         boxes = np.zeros((len(near), len(result[::EVERY]), 4, 2))
         for row, k in enumerate(near):
             boxes[row] = outlines(result[::EVERY, k, :3], walkers[k].box)
-        result[:, number] = _chosen(walker, way, times, stands, Others(boxes.mean(axis=2), shapely.polygons(boxes)))
+        result[:, number] = _chosen(walker, way, times, stands, Crowd(boxes.mean(axis=2), shapely.polygons(boxes)))
     return result
 
 
@@ -195,7 +195,7 @@ def outlines(places: Array, box: tuple[float, float, float, float], room: float 
     return np.stack([places[:, :1] + x * c - y * s, places[:, 1:2] + x * s + y * c], axis=-1)
 
 
-def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, others: Others) -> Array:
+def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, crowd: Crowd) -> Array:
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     farthest = 0
     for slower in SLOWER:
@@ -203,7 +203,7 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, oth
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
-            free = _free_until(way.position(travel, shift), walker, stands, others)
+            free = _free_until(way.position(travel, shift), walker, stands, crowd)
             if free == len(times):
                 return np.c_[way.position(travel, shift), travel]
             farthest = max(farthest, free)
@@ -214,18 +214,18 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, oth
             travel = np.maximum.accumulate(
                 np.where(times < times[stop] + pause, np.minimum(travel, usual[stop]), travel)
             )
-            if _free_until(way.position(travel, 0.0), walker, stands, others) == len(times):
+            if _free_until(way.position(travel, 0.0), walker, stands, crowd) == len(times):
                 return np.c_[way.position(travel, 0.0), travel]
     travel = np.zeros(len(times))
     return np.c_[np.tile((walker.x, walker.y, walker.heading), (len(times), 1)), travel]
 
 
-def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, others: Others) -> int:
+def _free_until(places: Array, walker: Walker, stands: shapely.STRtree, crowd: Crowd) -> int:
     """Number of the step at which somebody runs into something; the number of steps where nobody does."""
     looked = places[::EVERY]
     mine = shapely.polygons(outlines(looked, walker.box, ROOM_M))
-    who, at = np.nonzero(((others.middles - looked[:, :2]) ** 2).sum(axis=-1) < NEAR_M**2)
-    meets = shapely.intersects(mine[at], others.outlines[who, at])
+    who, at = np.nonzero(((crowd.middles - looked[:, :2]) ** 2).sum(axis=-1) < NEAR_M**2)
+    meets = shapely.intersects(mine[at], crowd.outlines[who, at])
     every = np.concatenate([stands.query(mine, predicate="intersects")[0], at[meets]])
     every = every[every > 0]  # as they were drawn they stand
     return int(every.min()) * EVERY if len(every) else len(places)
