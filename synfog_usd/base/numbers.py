@@ -60,7 +60,13 @@ LEAST_MOR_M = 0.03
 FOG_WORDS = ("albedo", "g", "phase", "diameter", "angstrom", "profile", "scale")
 """What may stand behind the visibility in a fog's name, as in mor150_g0.8."""
 
-_FOG = re.compile(rf"mor(\d+(?:\.\d+)?)((?:_(?:{'|'.join(FOG_WORDS)})-?[a-z\d.]+)*)")
+MEDIA = ("mor", "haze", "mist", "smoke", "dust", "spray", "rain", "snow")
+"""How the name of a medium begins, before its visibility [m]; mor is fog."""
+
+RATED = ("rain", "snow")
+"""Media whose names have a rate [mm/h of water] instead."""
+
+_FOG = re.compile(rf"({'|'.join(MEDIA)})(\d+(?:\.\d+)?)((?:_(?:{'|'.join(FOG_WORDS)})-?[a-z\d.]+)*)")
 
 UNITS_M = (1e-6, 1e3)
 """Lengths of a stage's unit [m]: from micrometres to kilometres."""
@@ -128,16 +134,20 @@ def check_light(scale: float) -> None:
         )
 
 
-def fog_words(name: str) -> tuple[float, dict[str, str]] | None:
-    """Visibility [m] that a fog's name says to any stage, and what it says besides; None of a variant's name.
+def fog_words(name: str) -> list[tuple[str, float, dict[str, str]]] | None:
+    """What a fog's name says to any stage: of each of its media how its name begins, its visibility [m] or rate
+    [mm/h], and what else there is; None of a variant's name.
 
-    >>> fog_words("mor150"), fog_words("mor75.5_g0.8_scale20"), fog_words("dense")
-    ((150.0, {}), (75.5, {'g': '0.8', 'scale': '20'}), None)
+    >>> fog_words("mor75.5_g0.8_scale20"), fog_words("rain10+mor400"), fog_words("dense")
+    ([('mor', 75.5, {'g': '0.8', 'scale': '20'})], [('rain', 10.0, {}), ('mor', 400.0, {})], None)
     """
-    if (match := _FOG.fullmatch(name)) is None or float(match[1]) == 0.0:
-        return None
-    pairs = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[2])
-    return float(match[1]), dict(pairs)
+    parts = []
+    for part in name.split("+"):
+        if (match := _FOG.fullmatch(part)) is None or float(match[2]) == 0.0:
+            return None
+        words = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[3])
+        parts.append((match[1], float(match[2]), dict(words)))
+    return parts
 
 
 def check_visibility(name: str, metres: float) -> None:

@@ -160,7 +160,7 @@ class ChartWords:
     ] = False
     fog: Annotated[
         str | None,
-        typer.Option(help="One fog: a variant of the stage, clear, or mor<metres>; as the stage has it if left out."),
+        typer.Option(help="One fog: a variant of the stage, clear, mor150, rain10; as the stage has it if left out."),
     ] = None
     lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None
     camera: options.Camera = None
@@ -309,7 +309,7 @@ class ContactWords:
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")]
     seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15"
     lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky"
-    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, or mor<metres>.")] = (
+    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, mor150, rain10.")] = (
         "clear,mor300"
     )
     resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180"

@@ -70,7 +70,13 @@ Pipeline = Annotated[
     Path | None, typer.Option(help="YAML node graph, or one that ships by its name; phone if left out.")
 ]
 Lightings = Annotated[str | None, typer.Option(help="Lightings, comma-separated; all that the stage has if left out.")]
-Fogs = Annotated[str | None, typer.Option(help="Fogs, comma-separated: variants of the stage, clear, or mor<metres>.")]
+Fogs = Annotated[
+    str | None,
+    typer.Option(
+        help="Fogs, comma-separated: variants of the stage, clear, or weather by name, as mor150, rain10, dust500, "
+        "snow2+mor400."
+    ),
+]
 Camera = Annotated[str | None, typer.Option(help="Prim path of the camera.")]
 Choices = Annotated[
     list[str] | None,

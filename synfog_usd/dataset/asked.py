@@ -59,7 +59,7 @@ def _fog_name(value: object, option: str) -> tuple[str, ...]:
     try:
         metres = number(value, option)
     except ParameterError:
-        takes = "clear, a visibility [m], mor150, a Fog, or a variant of the stage"
+        takes = "clear, a visibility [m], mor150, rain10, a Fog, or a variant of the stage"
         raise ParameterError(f"{option} {value!r}: it takes {takes}") from None
     if not metres > 0.0:
         raise ParameterError(f"{option} {metres:g}: a visibility is above 0 m")

@@ -252,7 +252,7 @@ def _chosen(kind: str, names: Sequence[str] | None, offered: Sequence[str]) -> l
         if name in (*offered, AS_AUTHORED) or (kind == "fog" and visibility_of(name) is not None):
             continue
         allowed = ", ".join(offered) or f"no variant set {kind!r}"
-        extra = ", clear or mor<metres>, as mor200" if kind == "fog" else ""
+        extra = ", clear, mor<metres>, rain<mm/h>, or others of docs/weather.md" if kind == "fog" else ""
         raise ParameterError(
             f"--{kind} {name}: the stage has {allowed}; it also takes {AS_AUTHORED}, for what it has without a "
             f"choice{extra}.{did_you_mean(name, (*offered, AS_AUTHORED))}"
@@ -276,12 +276,13 @@ def _thinnest_first(name: str) -> tuple[float, bool, str]:
 
 
 def visibility_of(name: str) -> float | None:
-    """Visibility [m] that the name of a fog says to any stage, inf for clear air; None of a variant's name.
+    """Least visibility [m] that a fog's name says to any stage, inf for clear air or rain; None of a variant's name.
 
     >>> visibility_of("mor150"), visibility_of("clear"), visibility_of("dense")
     (150.0, inf, None)
     """
     if name == CLEAR:
         return float("inf")
-    words = numbers.fog_words(name)
-    return words[0] if words else None
+    if (parts := numbers.fog_words(name)) is None:
+        return None
+    return min((number for kind, number, _ in parts if kind not in numbers.RATED), default=float("inf"))

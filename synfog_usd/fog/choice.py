@@ -1,4 +1,4 @@
-"""Fog that somebody asks for, over what a stage has.
+"""Fog, or other weather, that somebody asks for, over what a stage has.
 
 A `Fog` and its name say the same: `Fog(150, g=0.8)` is `mor150_g0.8`, as the command line, sets and folders have it.
 """
@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError
+from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
 from synfog_usd.fog.medium import WMO_CONTRAST, FogMedium, extinction_from_visibility
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 
@@ -25,12 +26,12 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Fog:
-    """Fog in which one sees `mor_m` metres.
+    """Fog in which one sees `mor_m` metres, or another medium, or several in one place.
 
     What is left out stays as the stage's outermost fog has it, or is the fog schema's default where the stage has none.
 
     Attributes:
-        mor_m: meteorological optical range [m], 0.03 and more; infinite for clear air.
+        mor_m: meteorological optical range [m], 0.03 and more; infinite for clear air, None for rain and snow.
         albedo: single-scattering albedo [1], 0 to 1.
         g: mean cosine of the phase function `hg` [1], -1 to 1, forward positive.
         phase: 'hg' (Henyey-Greenstein), 'droplets' (Jendersie and d'Eon 2023) or 'mie' (needs miepython).
@@ -38,15 +39,21 @@ class Fog:
         angstrom: exponent [1] by which fog is thinner for longer wavelengths, -1 to 5.
         profile: 'uniform', or 'exponential' in height; exponential where a scale height is given.
         scale_height_m: height [m] over which the fog thins by e.
+        kind: 'haze', 'mist', 'smoke', 'dust', 'spray', 'rain' or 'snow', whose tables say where it sends light; None
+            for fog.
+        rate_mm_h: of rain or snow [mm/h of water], 0.01 to 1000.
+        also: what else is in the same place, as rain in haze.
 
     Raises:
         ParameterError: a value outside these ranges, or values that do not go together.
 
     >>> Fog(150, g=0.8).name, Fog.named("mor150_g0.8") == Fog(150, g=0.8)
     ('mor150_g0.8', True)
+    >>> Fog(kind="rain", rate_mm_h=10, also=(Fog(400),)).name
+    'rain10+mor400'
     """
 
-    mor_m: float
+    mor_m: float | None = None
     albedo: float | None = None
     g: float | None = None
     phase: Literal["hg", "droplets", "mie"] | None = None
@@ -54,15 +61,20 @@ class Fog:
     angstrom: float | None = None
     profile: Literal["uniform", "exponential"] | None = None
     scale_height_m: float | None = None
+    kind: Literal["haze", "mist", "smoke", "dust", "spray", "rain", "snow"] | None = None
+    rate_mm_h: float | None = None
+    also: tuple[Fog, ...] = ()
 
     def __post_init__(self) -> None:
-        for word, name in {"mor": "mor_m", **WORDS}.items():
+        self._check_kind()
+        for word, name in {"mor": "mor_m", "rate": "rate_mm_h", **WORDS}.items():
             if name not in ("phase", "profile") and getattr(self, name) is not None:
                 object.__setattr__(self, name, _number(f"fog: {name}", getattr(self, name), inf=word == "mor"))
         for name, allowed in (("phase", PHASES), ("profile", PROFILES)):
             if getattr(self, name) not in (None, *allowed):
                 raise ParameterError(f"fog: {name} {getattr(self, name)!r}: it takes {', '.join(allowed)}")
-        numbers.check_visibility(f"mor{self.mor_m:g}", self.mor_m)
+        if self.mor_m is not None:
+            numbers.check_visibility(f"mor{self.mor_m:g}", self.mor_m)
         if (self.phase in ("droplets", "mie")) != (self.droplet_diameter_um is not None):
             raise ParameterError("fog: phase 'droplets' and 'mie' need droplet_diameter_um [um], and no other takes it")
         if self.g is not None and self.phase not in (None, "hg"):
@@ -70,17 +82,34 @@ class Fog:
         if not self.clear:
             self.over(FogMedium(1.0))
 
+    def _check_kind(self) -> None:
+        if self.kind not in (None, *KINDS) or self.kind == FOG:
+            kinds = ", ".join(name for name in KINDS if name != FOG)
+            raise ParameterError(f"fog: kind {self.kind!r}: it takes {kinds}, or None for fog")
+        rated = self.kind is not None and KINDS[self.kind].rated
+        if (self.mor_m is None) != rated or (self.rate_mm_h is None) == rated:
+            raise ParameterError("fog: rain and snow take rate_mm_h [mm/h], and all else takes mor_m [m]")
+        shaped = [name for name in ("albedo", "g", "phase", "angstrom") if getattr(self, name) is not None]
+        if self.kind is not None and shaped:
+            raise ParameterError(f"fog: {shaped[0]} is fog's; {self.kind} takes it from its table")
+        if any(fog.clear or fog.also for fog in self.also) or (self.also and self.clear):
+            raise ParameterError("fog: `also` has media that are not clear, each alone")
+
     @property
     def clear(self) -> bool:
         """Whether it is clear air."""
-        return math.isinf(self.mor_m)
+        return self.mor_m is not None and math.isinf(self.mor_m)
 
     @property
     def name(self) -> str:
-        """Its name: 'clear', 'mor150', 'mor150_g0.8'."""
+        """Its name: 'clear', 'mor150', 'mor150_g0.8', 'rain10+mor400'."""
+        if self.clear:
+            return CLEAR
         values = {word: getattr(self, name) for word, name in WORDS.items()}
-        more = (f"_{word}{_plain(value)}" for word, value in values.items() if value is not None)
-        return CLEAR if self.clear else f"mor{_plain(self.mor_m)}{''.join(more)}"
+        more = "".join(f"_{word}{_plain(value)}" for word, value in values.items() if value is not None)
+        number = self.mor_m if self.rate_mm_h is None else self.rate_mm_h
+        assert number is not None
+        return "+".join([f"{self.kind or 'mor'}{_plain(number)}{more}", *(fog.name for fog in self.also)])
 
     @classmethod
     def named(cls, name: str) -> Fog | None:
@@ -93,14 +122,20 @@ class Fog:
             return cls(math.inf)
         if (parts := numbers.fog_words(name)) is None:
             return None
-        mor_m, words = parts
-        values: dict[str, Any] = {WORDS[word]: value for word, value in words.items()}
-        for key, value in values.items():
-            values[key] = value if key in ("phase", "profile") else _number(f"--fog {name}:", value)
-        return cls(mor_m, **values)
+        media = []
+        for kind, number, words in parts:
+            values: dict[str, Any] = {WORDS[word]: value for word, value in words.items()}
+            for key, value in values.items():
+                values[key] = value if key in ("phase", "profile") else _number(f"--fog {name}:", value)
+            values["rate_mm_h" if kind in numbers.RATED else "mor_m"] = number
+            media.append(cls(kind=None if kind == "mor" else kind, **values))  # type: ignore[arg-type]
+        return replace(media[0], also=tuple(media[1:])) if len(media) > 1 else media[0]
 
     def over(self, medium: FogMedium) -> FogMedium:
         """The fog in a boundary whose own is `medium`; it is not clear air."""
+        return joined([fog._alone(medium) for fog in (self, *self.also)])
+
+    def _alone(self, medium: FogMedium) -> FogMedium:
         values = {name: getattr(self, name) for name in ("albedo", "g", "angstrom", "profile", "scale_height_m")}
         changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
         if self.scale_height_m is not None:
@@ -109,8 +144,15 @@ class Fog:
             changes["phase"] = self._phase
         if "profile" in changes:
             changes["grid"] = None
-        sigma_t = float(extinction_from_visibility(self.mor_m))
-        return replace(medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST, **changes)
+        if "albedo" in changes or "angstrom" in changes:
+            changes["colours"] = None
+        if self.kind is None:
+            assert self.mor_m is not None
+            sigma_t = float(extinction_from_visibility(self.mor_m))
+            return replace(medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST, **changes)
+        of_kind = medium_of(self.kind, mor_m=self.mor_m, rate_mm_h=self.rate_mm_h)
+        names = ("sigma_t_per_m", "albedo", "phase", "colours", "angstrom", "contrast")
+        return replace(medium, **{name: getattr(of_kind, name) for name in names}, **changes)
 
     @property
     def _phase(self) -> Phase | None:

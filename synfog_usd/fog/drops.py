@@ -134,8 +134,7 @@ Sizes = GammaSizes | LogNormalSizes
 def rain_sizes(rate_mm_h: float) -> GammaSizes:
     """Drops of rain by diameter: Marshall and Palmer, J. Meteor. 5, 165 (1948).
 
-    Its water, at the speeds of `rain_speed`, falls as 12 to 19 % more than the rate, for 1 to 30 mm/h.  There are too
-    many drops below 1 mm in it.
+    At 1 to 30 mm/h its drops fall with 12 to 19 % more water than the rate, by `rain_speed`: too many are below 1 mm.
     """
     return GammaSizes(8000.0, 0.0, 4.1 * _checked("rain", rate_mm_h) ** -0.21)
 
@@ -174,7 +173,7 @@ def flake_diameter(melted_mm: npt.ArrayLike) -> Array:
 def snow_speed(flake_mm: npt.ArrayLike) -> Array:
     """Terminal speed [m/s] of flakes of diameters [mm], any shape.
 
-    Aggregates of unrimed dendrites: Locatelli and Hobbs, J. Geophys. Res. 79, 2185 (1974), table 1; for 2 to 10 mm.
+    Aggregates of unrimed dendrites: Locatelli and Hobbs, J. Geophys. Res. 79, 2185 (1974), table 1, for 2 to 10 mm.
     """
     return np.asarray(0.8 * np.asarray(flake_mm, dtype=np.float64) ** 0.16)
 

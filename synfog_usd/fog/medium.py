@@ -66,12 +66,35 @@ def extinction_from_visibility(visibility_m: npt.ArrayLike, *, contrast: float =
 
 
 @dataclass(frozen=True)
+class Colours:
+    """How a medium depends on wavelength; straight lines between the rows.
+
+    Attributes:
+        wavelengths_nm: (N,) [nm], ascending.
+        extinction: (N,) over that at 550 nm [1].
+        albedo: (N,) single-scattering albedo [1], 0 to 1.
+    """
+
+    wavelengths_nm: tuple[float, ...]
+    extinction: tuple[float, ...]
+    albedo: tuple[float, ...]
+
+    def extinction_at(self, wavelength_nm: npt.ArrayLike) -> Array:
+        """Extinction at wavelengths [nm], any shape, over that at 550 nm [1]."""
+        return np.asarray(np.interp(np.asarray(wavelength_nm, np.float64), self.wavelengths_nm, self.extinction))
+
+    def albedo_at(self, wavelength_nm: npt.ArrayLike) -> Array:
+        """Albedo [1] at wavelengths [nm], any shape."""
+        return np.asarray(np.interp(np.asarray(wavelength_nm, np.float64), self.wavelengths_nm, self.albedo))
+
+
+@dataclass(frozen=True)
 class FogMedium:
     """One kind of fog.
 
     Attributes:
         sigma_t_per_m: extinction [1/m] at 550 nm, >= 0: at `base_height_m`, or where a grid's density is 1.
-        albedo: single-scattering albedo [1], 0 to 1; fog absorbs next to nothing.
+        albedo: single-scattering albedo [1] at 550 nm, 0 to 1; fog absorbs next to nothing.
         g: mean cosine of the phase function, -1 < g < 1.  Where `phase` is given
             it is taken from there, whatever is passed.
         profile: 'uniform', 'exponential' in height above `base_height_m`, or 'grid'.
@@ -81,6 +104,7 @@ class FogMedium:
         angstrom: exponent [1] of the extinction over wavelength, -1 to 5; fog is grey, 0.
         grid: relative densities in the boundary's box; with profile 'grid' and only then.
         contrast: threshold [1] at which its visibility is stated.
+        colours: extinction and albedo by wavelength, instead of `angstrom`; None for what is grey.
     """
 
     sigma_t_per_m: float
@@ -93,6 +117,7 @@ class FogMedium:
     angstrom: float = 0.0
     grid: DensityGrid | None = None
     contrast: float = WMO_CONTRAST
+    colours: Colours | None = None
 
     def __post_init__(self) -> None:
         if self.phase is not None:
@@ -141,11 +166,18 @@ class FogMedium:
         return self.phase if self.phase is not None else HenyeyGreenstein(self.g)
 
     def extinction_at(self, wavelength_nm: npt.ArrayLike) -> Array:
-        """Extinction at wavelengths [nm], any shape, over that at 550 nm [1]: (lambda / 550)^-angstrom."""
+        """Extinction at wavelengths [nm], any shape, over that at 550 nm [1]: (lambda / 550)^-angstrom or `colours`."""
         wavelength = np.asarray(wavelength_nm, dtype=np.float64)
         if not np.all(wavelength > 0.0):
             raise ParameterError(f"wavelength {wavelength_nm!r} nm is not above 0")
+        if self.colours is not None:
+            return self.colours.extinction_at(wavelength)
         return np.asarray((wavelength / REFERENCE_NM) ** -self.angstrom)
+
+    def albedo_at(self, wavelength_nm: npt.ArrayLike) -> Array:
+        """Albedo [1] at wavelengths [nm], any shape."""
+        wavelength = np.asarray(wavelength_nm, dtype=np.float64)
+        return np.full(wavelength.shape, self.albedo) if self.colours is None else self.colours.albedo_at(wavelength)
 
     def sigma_t(self, height_m: npt.ArrayLike) -> Array:
         """Extinction [1/m] at heights [m]; constant below the base height.

@@ -9,16 +9,15 @@ The cosine is everywhere the one between the directions of travel before and aft
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
+from synfog_usd.fog import mie
 
 DROPLETS_UM = (5.0, 50.0)
 """Open range of diameters [um] that the fit of Jendersie and d'Eon is for."""
@@ -242,7 +241,7 @@ class Tabulated:
         index = float(np.interp(wavelength_nm, *np.array(_WATER).T))
         return cls(
             cosines,
-            _intensity(index, sizes, numbers, cosines),
+            mie.intensity(index, sizes, numbers, cosines),
             f"Lorenz-Mie, water droplets of {diameter_um:g} um, {wavelength_nm:g} nm",
         )
 
@@ -302,28 +301,3 @@ def _log_normal(median: float, spread: float) -> tuple[Array, Array]:
     count = max(401, math.ceil(median * (spread**3 - spread**-3) / 0.7))
     steps = np.linspace(-3.0, 3.0, count)
     return median * np.exp(width * steps), np.exp(-(steps**2) / 2.0)
-
-
-def _intensity(index: float, sizes: Array, numbers: Array, cosines: Array) -> Array:
-    """|S1|^2 + |S2|^2, summed over droplets of several sizes, at each cosine, to any scale."""
-    try:
-        miepython: Any = importlib.import_module("miepython")
-    except ImportError as missing:
-        raise ParameterError(
-            'the phase function of Lorenz and Mie needs miepython; pip install miepython, or use phase "droplets"'
-        ) from missing
-    a_n, b_n = zip(*[miepython.coefficients(index, size) for size in sizes], strict=True)
-    terms = max(len(row) for row in a_n)
-    orders = np.arange(1, terms + 1)
-    scale = (2.0 * orders + 1.0) / (orders * (orders + 1.0))
-    a, b = (np.stack([np.r_[row, np.zeros(terms - len(row))] for row in rows]) * scale for rows in (a_n, b_n))
-    pi, tau = np.empty((terms, len(cosines))), np.empty((terms, len(cosines)))
-    before, now = np.zeros_like(cosines), np.ones_like(cosines)
-    for n in orders:
-        pi[n - 1], tau[n - 1] = now, n * cosines * now - (n + 1) * before
-        before, now = now, ((2 * n + 1) * cosines * now - (n + 1) * before) / n
-    total = np.zeros_like(cosines)
-    for of_a, of_b in ((pi, tau), (tau, pi)):
-        for a_part, b_part in ((a.real, b.real), (a.imag, b.imag)):  # real matrices: half the work
-            total += numbers @ (a_part @ of_a + b_part @ of_b) ** 2
-    return total

@@ -101,7 +101,7 @@ def _rays(offsets: Array) -> tuple[Array, Array]:
 def _clearest(fog: tuple[FogVolume, ...]) -> float:
     """Extinction in the clearest colour over that at 550 nm."""
     ratios = [
-        np.min(volume.medium.extinction_at(np.linspace(390.0, 710.0, 9))) / volume.medium.sigma_t_per_m
+        np.min(volume.medium.extinction_at(np.linspace(390.0, 710.0, 9)))
         for volume in fog
         if volume.medium.sigma_t_per_m
     ]

@@ -21,6 +21,7 @@ from synfog_usd.base.errors import StageError, did_you_mean
 
 API_NAME = "SynFogMediumAPI"
 PREFIX = "synfog:fog:"
+MEDIUM_PREFIX = "synfog:medium:"
 PLUGIN_FOLDER = resources.schema_plugin()
 FOG_VARIANT_SET = "fog"
 LIGHTING_VARIANT_SET = "lighting"
@@ -40,11 +41,20 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "densityGrid": None,
         "scaleHeight": 50.0,
         "priority": 0,
+        "kind": "fog",
+        "rate": None,
+        "also": "",
     }
 )
 """Fallback values, the same as in the schema; None for none."""
 
-_USER_PREFIXES = ("userProperties:synfog:fog:", "userProperties:synfog_fog_", "userProperties:synfog_")
+OF_MEDIUM = ("kind", "rate", "also")
+"""Names of `DEFAULTS` that have the prefix `synfog:medium:`."""
+
+_USER_PREFIXES = (
+    *(f"userProperties:synfog:{part}:" for part in ("fog", "medium")),
+    *(f"userProperties:synfog_{part}" for part in ("fog_", "medium_", "")),
+)
 
 
 @dataclass(frozen=True)
@@ -82,7 +92,8 @@ def has_fog_attributes(prim: Usd.Prim, authored: Sequence[str] | None = None) ->
         return True
     names = prim.GetAuthoredPropertyNames() if authored is None else authored
     return any(
-        name.startswith((PREFIX, "userProperties:synfog")) and (name.startswith(PREFIX) or _name_of(name) is not None)
+        name.startswith((PREFIX, MEDIUM_PREFIX))
+        or (name.startswith("userProperties:synfog") and _name_of(name) is not None)
         for name in names
     )
 
@@ -105,10 +116,10 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
         if name is not None:
             names[name] = prop.GetName()
     for full_name in prim.GetAuthoredPropertyNames():
-        if not full_name.startswith(PREFIX):
+        name = full_name.rpartition(":")[2]
+        if not full_name.startswith((PREFIX, MEDIUM_PREFIX)):
             continue
-        name = full_name.removeprefix(PREFIX)
-        if name not in DEFAULTS:
+        if name not in DEFAULTS or full_name != full_name_of(name):
             raise StageError(
                 f"{prim.GetPath()}: there is no attribute {full_name}; known are "
                 f"{', '.join(DEFAULTS)}.{did_you_mean(name, DEFAULTS)}"
@@ -129,6 +140,11 @@ def read_fog(prim: Usd.Prim, time: Usd.TimeCode) -> FogAttributes | None:
     return FogAttributes(str(prim.GetPath()), MappingProxyType(values), MappingProxyType(authored))
 
 
+def full_name_of(name: str) -> str:
+    """The attribute's name on a prim: `synfog:fog:mor`, `synfog:medium:kind`."""
+    return (MEDIUM_PREFIX if name in OF_MEDIUM else PREFIX) + name
+
+
 def _name_of(property_name: str) -> str | None:
     """The schema's name behind a user property, or None."""
     for prefix in _USER_PREFIXES:
@@ -141,7 +157,7 @@ def _name_of(property_name: str) -> str | None:
 def _checked(prim: Usd.Prim, full_name: str, name: str, value: object) -> bool | int | float | str | Sdf.AssetPath:
     shown = " ".join(repr(value).split())
     shown = shown if len(shown) < 80 else f"{shown[:79]}…"
-    if name in ("phase", "profile"):
+    if name in ("phase", "profile", "kind", "also"):
         if not isinstance(value, str):
             raise StageError(
                 f"{prim.GetPath()}: {full_name} = {shown} is not a word; it takes for example {DEFAULTS[name]!r}"

@@ -21,13 +21,15 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 from synfog_usd.base.arrays import Array, distinct
 from synfog_usd.base.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
+from synfog_usd.fog.drops import HEAVIEST_MM_H
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
+from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.scene import Camera
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import fence_of
-from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
+from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, full_name_of, read_fog
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import part
 from synfog_usd.translate.implicit import read_implicit
@@ -391,7 +393,7 @@ def _medium(
 
     def fault(name: str, allowed: str) -> StageError:
         value = values[name].path if isinstance(values[name], Sdf.AssetPath) else values[name]
-        return StageError(f"{attributes.path}: {authored.get(name, PREFIX + name)} = {value!r}; {allowed}")
+        return StageError(f"{attributes.path}: {authored.get(name, full_name_of(name))} = {value!r}; {allowed}")
 
     _check_ranges(attributes, fault)
     phase = _phase(attributes, fault, notes)
@@ -411,10 +413,10 @@ def _medium(
     if sigma_t is None:
         contrast = values["contrast"]
         sigma_t = float(extinction_from_visibility(values["mor"], contrast=contrast))
-        if "mor" not in authored:
+        if "mor" not in authored and values["rate"] is None:
             notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
     try:
-        return FogMedium(
+        medium = FogMedium(
             sigma_t * densest,
             values["albedo"],
             values["g"],
@@ -428,9 +430,43 @@ def _medium(
         )
     except ParameterError as problem:
         name = "sigma_t" if "sigma_t" in authored else "mor"
-        raise StageError(
-            f"{attributes.path}: {authored.get(name, PREFIX + name)} = {values[name]!r}: {problem}"
-        ) from problem
+        raise fault(name, str(problem)) from problem
+    return _weather(attributes, medium, densest, fault, notes)
+
+
+def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: Fault, notes: Diagnostics) -> FogMedium:
+    """The medium of the kind that is authored, with what is authored to be in it too, where the fog would be."""
+    kind, rate, also = (attributes.values[name] for name in ("kind", "rate", "also"))
+    if rate is not None and not KINDS[kind].rated:
+        raise fault("rate", "rain and snow have a rate; all else has a visibility, synfog:fog:mor")
+    medium = fog
+    try:
+        if kind != FOG:
+            of_kind = medium_of(kind, rate_mm_h=rate, mor_m=None if rate is not None else fog.visibility_m)
+            sigma_t = fog.sigma_t_per_m if rate is None else of_kind.sigma_t_per_m * densest
+            names = ("albedo", "phase", "colours", "angstrom")
+            medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
+    except ParameterError as problem:
+        raise fault("rate" if rate is not None else "kind", str(problem)) from problem
+    _warn_beyond(attributes.path, kind, rate, notes)
+    if not also:
+        return medium
+    try:
+        if (more := Fog.named(also)) is None or more.clear:
+            raise ParameterError("it takes names of media, as rain10 or rain10+haze2000")
+        for part in (more, *more.also):
+            _warn_beyond(attributes.path, part.kind, part.rate_mm_h, notes)
+        return joined([medium, more.over(medium)])
+    except ParameterError as problem:
+        raise fault("also", str(problem)) from problem
+
+
+def _warn_beyond(path: str, kind: str | None, rate: float | None, notes: Diagnostics) -> None:
+    """Note a rate at which nobody measured the sizes of the drops."""
+    if kind is not None and rate is not None and rate > (most := HEAVIEST_MM_H[kind]):
+        notes.warn(
+            path, f"{kind} of {rate:g} mm/h: its drop sizes were measured up to {most:g} mm/h, and are a guess here"
+        )
 
 
 def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
@@ -440,7 +476,7 @@ def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
         StageError: by `fault`.
     """
     values = attributes.values
-    for name, words in (("phase", PHASES), ("profile", PROFILES)):
+    for name, words in (("phase", PHASES), ("profile", PROFILES), ("kind", tuple(KINDS))):
         if values[name] not in words:
             raise fault(name, f"it takes {', '.join(words)}.{did_you_mean(values[name], words)}")
     ranges: list[tuple[str, bool, str]] = [

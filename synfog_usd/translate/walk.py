@@ -15,7 +15,7 @@ from synfog_usd.base.arrays import Array, Flags
 from synfog_usd.base.errors import StageError
 from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.labels import LABEL_SOURCES, UNLABELED, direct_label, official_name
-from synfog_usd.stage.schema import PREFIX, has_fog_attributes
+from synfog_usd.stage.schema import MEDIUM_PREFIX, PREFIX, has_fog_attributes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import is_finite
 from synfog_usd.translate.lanes import TYPE as LANE_TYPE
@@ -60,7 +60,7 @@ _PURPOSES = ("default", "render", "proxy", "guide")
 _USUAL = frozenset({"default", "render"})
 _SHOWN = ("inherited", "visible", "invisible")
 _READ = LABEL_SOURCES | {"visibility", "purpose", "primvars:displayOpacity", "model:drawMode"}
-_READ_BEGINNINGS = (PREFIX, "userProperties:synfog")
+_READ_BEGINNINGS = (PREFIX, MEDIUM_PREFIX, "userProperties:synfog")
 """Properties that the walk reads, by their names and by the beginnings of these."""
 
 

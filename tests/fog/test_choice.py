@@ -17,6 +17,9 @@ SAID = (
     Fog(75.5, albedo=0.98, g=-0.3),
     Fog(40, phase="droplets", droplet_diameter_um=8.25),
     Fog(1e5, angstrom=1.3, profile="exponential", scale_height_m=30),
+    Fog(kind="rain", rate_mm_h=0.5),
+    Fog(80, kind="smoke", scale_height_m=10),
+    Fog(kind="snow", rate_mm_h=2, also=(Fog(400, g=0.8), Fog(2000, kind="haze"))),
 )
 
 
@@ -27,7 +30,9 @@ def test_a_name_says_all_of_a_fog(fog):
     assert BakePlan(Path("street.usda"), Path("out"), fog=(fog.name,)).fog == (fog.name,)
 
 
-@pytest.mark.parametrize("name", ["dense", "mor0", "mor150_x3", "MOR150"])
+@pytest.mark.parametrize(
+    "name", ["dense", "mor0", "mor150_x3", "MOR150", "rain0", "rain-1", "rain10+dense", "rain", "mor150+"]
+)
 def test_other_names_are_a_stage_s_own(name):
     assert Fog.named(name) is None
 
@@ -55,9 +60,31 @@ def test_fog_goes_over_what_is_there_and_leaves_the_rest():
         {"mor_m": 150, "phase": "rayleigh"},
         {"mor_m": 150, "phase": "droplets"},
         {"mor_m": 150, "phase": "droplets", "droplet_diameter_um": 8, "g": 0.8},
+        {},
+        {"mor_m": 150, "kind": "fog"},
+        {"mor_m": 150, "kind": "rain"},
+        {"rate_mm_h": 10},
+        {"kind": "rain", "rate_mm_h": 1e9},
+        {"mor_m": 150, "kind": "dust", "g": 0.5},
+        {"mor_m": 150, "also": (Fog(math.inf),)},
+        {"mor_m": 150, "also": (Fog(100, scale_height_m=10),)},
     ],
     ids=str,
 )
 def test_what_no_fog_is_like_is_refused(said):
     with pytest.raises(ParameterError):
         Fog(**said)
+
+
+def test_dust_over_a_stage_s_fog_keeps_its_height():
+    """Where the fog is stays; what it is becomes the kind's, and then fog's again."""
+    own = FogMedium(0.5, profile="exponential", base_height_m=-2.0, scale_height_m=7.0)
+    dust = Fog(100.0, kind="dust").over(own)
+    assert (dust.profile, dust.base_height_m, dust.scale_height_m) == ("exponential", -2.0, 7.0)
+    assert dust.albedo < 0.9 and dust.colours is not None
+    assert Fog(100.0, albedo=1.0).over(dust).colours is None
+
+
+def test_every_name_is_a_good_folder():
+    for fog in SAID:
+        assert not set(fog.name) & set('\\/:*?"<>| ,')

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support import renders
 
-from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.fog import Fog, FogMedium, FogVolume
 from synfog_usd.scene.testing import box, scene, sky, uniform_fog
 
 SEEDS = 16
@@ -36,3 +36,13 @@ def test_unlimited_depth_loses_nothing(depth):
     mean, error = ratio(furnace(FogVolume("/Fog", box(60.0), FogMedium(depth / 60.0))), "path", 256)
     assert 5 * error < 1e-2, f"cannot see 1 %: error {error:.2%}"
     assert abs(mean - 1.0) < 1e-2
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("name", ["haze50", "mist50", "spray50", "snow100", "rain100+mor60"])
+def test_weather_is_invisible(name):
+    """Media that absorb nothing, with their own phase functions and colours: within 0.1 %."""
+    fog = Fog.named(name).over(FogMedium(1.0))
+    mean, error = ratio(furnace(FogVolume("/Fog", box(60.0), fog)), "path", 4096)
+    assert 4 * error < 1e-3, f"cannot see 0.1 %: error {error:.2%}"
+    assert abs(mean - 1.0) < 1e-3

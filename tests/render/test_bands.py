@@ -11,7 +11,7 @@ from support.stats import assert_mean
 
 from synfog_usd.base import photometry
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.fog import Fog, FogMedium, FogVolume, kinds
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands
 from synfog_usd.scene.testing import box, scene, sky, wall
@@ -138,3 +138,45 @@ def test_fogs_of_different_colours_are_refused_in_bands():
     world = scene(SKY, [haze(1.3), inner])
     with pytest.raises(ParameterError, match="Angstrom"):
         render(world, samples=2, bands=8)
+
+
+def medium_box(medium, half_size=200.0):
+    return FogVolume("/Medium", box(half_size), medium)
+
+
+def test_smoke_dims_red_green_and_blue_by_its_own_extinctions():
+    """Beer and Lambert at the wavelengths of the primaries, for soot that scatters nothing."""
+    smoke = kinds.medium_of("smoke", mor_m=150.0)
+    colours = replace(smoke.colours, albedo=(0.0,) * len(smoke.colours.albedo))
+    world = scene(
+        {"shape_wall": shining(1.0, 1.0, 1.0)}, [medium_box(replace(smoke, albedo=0.0, colours=colours))], fov_x_deg=1.0
+    )
+    seen = render(world, model="path", samples=64).radiance.pixels.mean(axis=(0, 1))
+    wanted = np.exp(-smoke.sigma_t_per_m * 50.0 * smoke.extinction_at(bands.PRIMARIES_NM))
+    np.testing.assert_allclose(seen, wanted, rtol=1e-3)
+    assert wanted[0] > 1.2 * wanted[2]
+
+
+def test_dust_is_brown():
+    """A thin cloud of it before a black wall under an even sky: once scattered light is as its scattering is."""
+    dust = replace(kinds.medium_of("dust", mor_m=3e4), profile="uniform")
+    world = scene({**SKY, "shape_wall": wall(150.0)}, [medium_box(dust)], fov_x_deg=1.0)
+    means = np.mean(
+        [run.radiance.pixels.mean(axis=(0, 1)) for run in by_seed(world, range(4), model="path", samples=512)], axis=0
+    )
+    scattered = dust.extinction_at(bands.PRIMARIES_NM) * dust.albedo_at(bands.PRIMARIES_NM)
+    np.testing.assert_allclose(means / means[1], scattered / scattered[1], rtol=0.02)
+    assert means[0] > 1.1 * means[2]
+
+
+def test_rain_in_fog_sends_light_where_both_do():
+    """Thin, so that light is scattered once: rain in fog is as bright as rain and as fog together."""
+    parts = [Fog.named(name).over(FogMedium(1.0)) for name in ("rain10", "mor9000")]
+    together = Fog.named("rain10+mor9000").over(FogMedium(1.0))
+    lamp = {"light_sun": {"type": "directional", "direction": [0.3, 0.9, -0.2], "irradiance": rgb(1.0, 1.0, 1.0)}}
+
+    def glow_of(medium):
+        world = scene({**lamp, "shape_wall": wall(20.0)}, [medium_box(medium, 21.0)], fov_x_deg=40.0)
+        return np.mean([run.radiance.pixels.mean() for run in by_seed(world, range(4), model="path", samples=256)])
+
+    assert glow_of(together) == pytest.approx(sum(map(glow_of, parts)), rel=0.02)

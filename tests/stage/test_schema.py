@@ -6,7 +6,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.stage import check, open_stage, register
-from synfog_usd.stage.schema import API_NAME, DEFAULTS, PLUGIN_FOLDER, PREFIX, read_fog
+from synfog_usd.stage.schema import API_NAME, DEFAULTS, PLUGIN_FOLDER, PREFIX, full_name_of, read_fog
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
 
@@ -15,10 +15,9 @@ def test_the_plugin_is_known_and_its_fallbacks_are_those_in_python():
     """Two places say what holds where nothing is authored; they say the same."""
     register()
     definition = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(API_NAME)
-    names = {name.removeprefix(PREFIX) for name in definition.GetPropertyNames()}
-    assert names == set(DEFAULTS)
+    assert set(definition.GetPropertyNames()) == set(map(full_name_of, DEFAULTS))
     for name, value in DEFAULTS.items():
-        fallback = definition.GetAttributeFallbackValue(PREFIX + name)
+        fallback = definition.GetAttributeFallbackValue(full_name_of(name))
         assert fallback == (pytest.approx(value) if isinstance(value, float) else value), name
 
 

@@ -16,10 +16,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdVol
 from support.looks import fill
 
 from synfog_usd.base.errors import StageError
-from synfog_usd.fog import Fog, FogMedium, FogVolume
+from synfog_usd.fog import Fog, FogMedium, FogVolume, extinction_from_visibility
+from synfog_usd.fog.drops import PICTURE, rain_extinction
 from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
+from synfog_usd.stage.schema import full_name_of
 from synfog_usd.translate import translate, volume
 
 TYPES = Sdf.ValueTypeNames
@@ -35,7 +37,7 @@ def fog_box(stage, path, centre=(0, 0, 0), half=10.0, **attributes):
     cube.GetPrim().AddAppliedSchema("SynFogMediumAPI")
     for name, value in attributes.items():
         kind = TYPES.Token if isinstance(value, str) else TYPES.Bool if isinstance(value, bool) else TYPES.Double
-        cube.GetPrim().CreateAttribute(f"synfog:fog:{name}", kind).Set(value)
+        cube.GetPrim().CreateAttribute(full_name_of(name), kind).Set(value)
     return cube
 
 
@@ -98,6 +100,7 @@ def test_fog_can_be_switched_off(empty, how):
 
 BAD = {"mor": [0.0, -5.0, math.nan, math.inf, 1e-4], "sigma_t": [-0.1, math.nan, 1e4], "contrast": [0.0, 1.0]}
 BAD |= {"albedo": [-0.1, 1.5, math.nan], "g": [1.0, -1.0, math.nan], "scaleHeight": [0.0, -1.0]}
+BAD |= {"rate": [0.0, -1.0, 1e9, 5.0, math.nan], "kind": ["hail"], "also": ["hail3", "clear", "rain0", "rain5000"]}
 BAD |= {"angstrom": [9.0, math.nan], "phase": ["rayleigh"], "profile": ["linear"], "morr": [100.0]}
 
 
@@ -106,8 +109,36 @@ def test_bad_values_are_refused_with_prim_and_attribute(empty, name):
     for value in BAD[name]:
         stage = empty()
         fog_box(stage, "/World_Fog", **{name: value})
-        with pytest.raises(StageError, match=rf"/World_Fog.*synfog:fog:{name}"):
+        with pytest.raises(StageError, match=rf"/World_Fog.*{full_name_of(name)}"):
             translate(stage)
+
+
+def test_a_kind_and_a_rate_are_read(empty):
+    """Rain of 10 mm/h with haze of 2 km in it: extinctions add, and the albedo is the haze's and the rain's, 1."""
+    stage = empty()
+    fog_box(stage, "/Fog", kind="rain", rate=10.0, also="haze2000")
+    scene = translate(stage)
+    (volume,) = scene.fog
+    sigma_t = rain_extinction(10.0, PICTURE) + float(extinction_from_visibility(2000.0))
+    assert volume.medium.sigma_t_per_m == pytest.approx(sigma_t)
+    assert volume.medium.albedo == pytest.approx(1.0, abs=1e-3)
+    assert not [note for note in scene.notes if "visibility" in note.text or "measured" in note.text]
+
+
+def test_a_kind_takes_a_visibility_too(empty):
+    """Dust in which one sees 500 m, by height."""
+    stage = empty()
+    fog_box(stage, "/Fog", kind="dust", mor=500.0, profile="exponential", scaleHeight=9.0)
+    (volume,) = translate(stage).fog
+    assert volume.medium.visibility_m == pytest.approx(500.0)
+    assert volume.medium.scale_height_m == 9.0 and volume.medium.phase.source.startswith("transported mineral")
+
+
+@pytest.mark.parametrize("how", [{"kind": "rain", "rate": 300.0}, {"also": "snow30"}], ids=str)
+def test_a_rate_that_nobody_measured_is_noted(empty, how):
+    stage = empty()
+    fog_box(stage, "/Fog", **how)
+    assert any("were measured up to" in note.text and note.path == "/Fog" for note in translate(stage).notes)
 
 
 @pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", None), ("mie", 1e4)])

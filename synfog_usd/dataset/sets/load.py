@@ -237,7 +237,7 @@ class _SetReader:
         distributions = []
         for entry in entries(item, "fogs"):
             named = isinstance(entry.value, str)
-            if named and re.fullmatch(r"[A-Za-z_][\w.-]*", entry.value):
+            if named and re.fullmatch(r"[A-Za-z_][\w.+-]*", entry.value):
                 distributions.append(fixed(entry.value))
             elif named:
                 raise SetError(f"{entry.place}: fogs: {entry.value!r} is no name; 600 is a visibility of 600 m")

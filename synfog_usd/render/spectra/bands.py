@@ -23,7 +23,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import RGB, check_bands
-from synfog_usd.fog import FogVolume
+from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
@@ -43,6 +43,12 @@ CENTRES_NM: dict[int, tuple[float, ...]] = {
 """Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of
 white's.
 """
+
+PRIMARIES_NM = (611.0, 549.0, 464.0)
+"""Wavelengths [nm] at which a medium that is coloured dims R, G and B: the dominant ones of Rec.709's primaries."""
+
+GREY = 0.03
+"""Span of extinctions and albedos over wavelength below which a kind of medium is drawn grey."""
 
 
 def is_finite(light: SampledSpectrum) -> Bool:
@@ -90,7 +96,7 @@ class Bands:
 
     Args:
         count: RGB, or a key of `CENTRES_NM`.
-        fog: the scene's, for how its extinction depends on wavelength; R, G and B all have that at 550 nm.
+        fog: the scene's, for how it depends on wavelength; of an Angstrom exponent R, G and B see nothing.
         emissions: (401,) spectra of lamps that have one of their own; the first is kind 1 of light, colours are kind 0.
 
     Attributes:
@@ -98,10 +104,10 @@ class Bands:
         spectral_bsdfs: materials with a spectrum of their own, or None.
         weights: (N,) such that pixels @ weights is a luminance [cd m-2]; for R, G, B their plain mean.
         clearest: extinction of the clearest band over that at 550 nm.
-        coloured: whether extinction differs between bands.
+        coloured: whether extinction or albedo differs between bands.
 
     Raises:
-        ParameterError: fogs with different Angstrom exponents.
+        ParameterError: fogs whose bands differ in different ways.
     """
 
     def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = (), emissions: Sequence[Array] = ()) -> None:
@@ -109,12 +115,11 @@ class Bands:
         self.kinds = 1
         self.spectral_bsdfs: SpectralBsdfs | None = None
         self.count, self.names, self.is_rgb = count, names(count), count == RGB
-        self.clearest, self.coloured = 1.0, False
+        self.type: type[SampledSpectrum] = backend.mitsuba().Color3f if self.is_rgb else backend.mitsuba().ArrayXf
+        self._colour(fog)
         if self.is_rgb:
             self.weights = np.full(3, 1.0 / 3.0)
             return
-        mi = backend.mitsuba()
-        self.type = mi.ArrayXf
         self.light_of, self.reflectance_of = matrices(count)
         boxes = photometry.channel_spectra(self.names)
         self.weights = np.array([photometry.luminance_of(box) for box in boxes])
@@ -123,19 +128,34 @@ class Bands:
             self.lit = np.array([box_means(curve / photometry.luminance_of(curve), boxes) for curve in emissions])
             self._lit = backend.floats(np.concatenate([np.zeros((1, count)), self.lit]).ravel())
             dr.make_opaque(self._lit)
-        exponents = {volume.medium.angstrom for volume in fog if volume.medium.sigma_t_per_m > 0.0}
-        if len(exponents) > 1:
+
+    def _colour(self, fog: Sequence[FogVolume]) -> None:
+        """What each band loses and scatters, beside the clearest one."""
+        self.clearest, self.coloured = 1.0, False
+        media = [volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0]
+        if self.is_rgb and all(medium.colours is None for medium in media):
+            return
+        curves = {self._curve(medium) for medium in media}
+        if len(curves) > 1:
             raise ParameterError(
-                f"fogs with the Angstrom exponents {', '.join(f'{e:g}' for e in sorted(exponents))}: wavelength bands "
-                f"take one; R, G and B take any"
+                "fogs that differ in their Angstrom exponents or kinds: wavelength bands take one; R, G and B take any "
+                "exponents"
             )
-        if exponents and exponents != {0.0}:
-            extinction = next(volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0).extinction_at(
-                CENTRES_NM[count]
-            )
-            self.clearest, self.coloured = float(extinction.min()), True
-            self.ratio = extinction / self.clearest
-            self._more = [dr.opaque(mi.Float, value) for value in self.ratio - 1.0]
+        if not curves or curves == {(1.0,) * 2 * self.count}:
+            return
+        extinction, tint = np.array(curves.pop()).reshape(2, -1)
+        self.clearest, self.coloured = float(extinction.min()), True
+        self.ratio = extinction / self.clearest
+        self._more = [dr.opaque(backend.mitsuba().Float, value) for value in self.ratio - 1.0]
+        self._tint = [] if np.all(tint == 1.0) else [dr.opaque(backend.mitsuba().Float, value) for value in tint]
+
+    def _curve(self, medium: FogMedium) -> tuple[float, ...]:
+        """Extinction of each band, and then its albedo, over those at 550 nm."""
+        centres = PRIMARIES_NM if self.is_rgb else CENTRES_NM[self.count]
+        extinction, albedo = medium.extinction_at(centres), medium.albedo_at(centres) / (medium.albedo or 1.0)
+        if medium.colours is not None and max(np.ptp(extinction), np.ptp(albedo)) < GREY:
+            return (1.0,) * 2 * self.count
+        return (*extinction.tolist(), *albedo.tolist())
 
     def black(self) -> SampledSpectrum:
         """No light."""
@@ -190,8 +210,11 @@ class Bands:
         return self._array([dr.exp(-more * optical_depth) for more in self._more])
 
     def scattered(self) -> SampledSpectrum:
-        """Extinction of each band over that of the clearest."""
-        return self._array([more + 1.0 for more in self._more])
+        """What each band scatters over what the clearest would with the albedo at 550 nm."""
+        ratios = [more + 1.0 for more in self._more]
+        return self._array(
+            [ratio * tint for ratio, tint in zip(ratios, self._tint, strict=True)] if self._tint else ratios
+        )
 
     def gather(self, table: Float, index: UInt32, active: Bool) -> SampledSpectrum:
         """A row of a table with a column for each band."""

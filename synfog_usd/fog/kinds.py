@@ -1,0 +1,154 @@
+"""Kinds of medium: fog, haze, mist, smoke, dust, spray, rain and snow, each as a `FogMedium`, and several in one place.
+
+Takes a kind with a visibility or a rate; gives extinction, albedo and phase function, from tables that
+`docs/studies/media.py` computes.  Knows nothing of USD or Mitsuba.
+
+>>> medium_of("rain", rate_mm_h=10.0).visibility_m > medium_of("dust", mor_m=500.0).visibility_m
+True
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from synfog_usd.base import tables
+from synfog_usd.base.arrays import Array
+from synfog_usd.base.errors import ParameterError, did_you_mean
+from synfog_usd.fog import drops
+from synfog_usd.fog.medium import Colours, FogMedium, extinction_from_visibility
+from synfog_usd.fog.phase import HenyeyGreenstein, Phase, Tabulated
+
+FOG = "fog"
+"""The kind that its own attributes shape."""
+
+SNOW_G = 0.55
+"""Mean cosine [1] of a flake without its diffraction: 2 g - 1 with g = 0.775 of measured blowing snow.
+Raisanen et al., The Cryosphere 9, 1277 (2015)."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of medium.
+
+    Attributes:
+        name: one of `KINDS`.
+        about: what of, with source.
+        rated: whether it is asked for by a rate [mm/h of water] too.
+    """
+
+    name: str
+    about: str
+    rated: bool = False
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind(FOG, "droplets as g, phase and dropletDiameter say"),
+        Kind("haze", "droplets of 0.07 um radius: haze L, Deirmendjian (1969)"),
+        Kind("mist", "droplets of 2 um radius: moderate radiation fog, Shettle and Fenn (1979)"),
+        Kind("smoke", "soot: OPAC, Hess et al. (1998)"),
+        Kind("dust", "transported mineral dust: OPAC, Hess et al. (1998)"),
+        Kind("spray", "droplets of 4 um radius: strong spray, Rasshofer et al. (2011); cloud C1, Deirmendjian (1969)"),
+        Kind("rain", "Marshall and Palmer (1948), drops as rays", rated=True),
+        Kind("snow", "Sekhon and Srivastava (1970), dry flakes", rated=True),
+    )
+}
+
+
+def medium_of(kind: str, *, mor_m: float | None = None, rate_mm_h: float | None = None) -> FogMedium:
+    """A uniform medium of a kind, as a picture shows it.
+
+    Args:
+        kind: one of `KINDS`.
+        mor_m: meteorological optical range [m].
+        rate_mm_h: of rain or snow [mm/h of water], 0.01 to 1000; instead of `mor_m`.
+
+    Raises:
+        ParameterError: no such kind, a value outside its range, both values or none.
+    """
+    if kind not in KINDS:
+        raise ParameterError(f"kind {kind!r}: it takes {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}")
+    if (mor_m is None) == (rate_mm_h is None):
+        raise ParameterError(f"{kind}: it takes a visibility [m] or a rate [mm/h], and one of them")
+    if rate_mm_h is not None and not KINDS[kind].rated:
+        raise ParameterError(f"{kind}: it takes a visibility [m]; rain and snow take a rate [mm/h]")
+    if rate_mm_h is None:
+        assert mor_m is not None
+        sigma_t = float(extinction_from_visibility(mor_m))
+    elif kind == "rain":
+        sigma_t = drops.rain_extinction(rate_mm_h, drops.PICTURE)
+    else:
+        sigma_t = drops.snow_extinction(rate_mm_h, drops.PICTURE)
+    if kind == FOG:
+        return FogMedium(sigma_t)
+    colours = _colours(kind)
+    albedo = 1.0 if colours is None else float(colours.albedo_at(550.0))
+    return FogMedium(sigma_t, albedo, phase=_phase(kind), colours=colours)
+
+
+def joined(media: Sequence[FogMedium]) -> FogMedium:
+    """Several media in one place as one: extinctions add, phase functions mix by what each scatters.
+
+    Raises:
+        ParameterError: media whose extinctions go differently with height, or a grid.
+    """
+    first = media[0]
+    if len(media) == 1:
+        return first
+    if len({(medium.profile, medium.base_height_m, medium.scale_height_m) for medium in media}) > 1 or first.grid:
+        raise ParameterError("media in one place: all are uniform, or exponential with one scale height")
+    extinction = np.array([medium.sigma_t_per_m for medium in media])
+    scattering = extinction * [medium.albedo for medium in media]
+    total = float(extinction.sum())
+    if total == 0.0:  # of no density anywhere
+        return first
+    colours = None
+    if any(medium.colours is not None or medium.angstrom != 0.0 for medium in media):
+        nm = tables.table("media")["wavelength_nm"]
+        by_nm = extinction[:, None] * np.stack([medium.extinction_at(nm) for medium in media])
+        scattered = (by_nm * np.stack([medium.albedo_at(nm) for medium in media])).sum(axis=0)
+        by_nm = by_nm.sum(axis=0)
+        colours = Colours(tuple(nm), tuple(by_nm / total), tuple(np.minimum(scattered / by_nm, 1.0)))
+    return replace(
+        first,
+        sigma_t_per_m=total,
+        albedo=min(float(scattering.sum()) / total, 1.0),
+        phase=_mixed([medium.phase_function for medium in media], scattering),
+        colours=colours,
+        angstrom=0.0,
+    )
+
+
+def _mixed(phases: Sequence[Phase], scattering: Array) -> Phase:
+    if len(set(phases)) == 1 or not scattering.any():
+        return phases[0]
+    cosines = np.unique(np.concatenate([phase.table()[0] for phase in phases]))
+    shares = scattering / scattering.sum()
+    values = sum(share * phase.value(cosines) for share, phase in zip(shares, phases, strict=True))
+    return Tabulated(cosines, np.asarray(values), "a mixture")
+
+
+@functools.cache
+def _colours(kind: str) -> Colours | None:
+    """How a kind depends on wavelength; None for snow, which is white."""
+    table = tables.table("media")
+    nm = table["wavelength_nm"]
+    if kind == "snow":
+        return None
+    per_km = table.get(f"{kind}_per_km", np.ones_like(nm))
+    ratio = per_km / np.interp(550.0, nm, per_km)
+    return Colours(tuple(nm.tolist()), tuple(ratio.tolist()), tuple(table[f"{kind}_albedo"].tolist()))
+
+
+@functools.cache
+def _phase(kind: str) -> Phase:
+    if kind == "snow":
+        return HenyeyGreenstein(SNOW_G)
+    table = tables.table("media_phase")
+    cosines = np.cos(np.radians(table["angle_deg"]))[::-1]
+    return Tabulated(cosines, table[kind][::-1], KINDS[kind].about)

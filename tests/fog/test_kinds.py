@@ -1,0 +1,193 @@
+"""Kinds of medium against published optics, against the theory of Lorenz and Mie, and against each other."""
+
+import importlib.util
+import math
+
+import numpy as np
+import pytest
+
+from docs.studies import media
+from synfog_usd.base import tables
+from synfog_usd.base.errors import ParameterError
+from synfog_usd.fog import Fog, FogMedium, kinds, mie
+from synfog_usd.fog.drops import GammaSizes, rain_extinction
+from synfog_usd.fog.phase import HenyeyGreenstein
+
+needs_mie = pytest.mark.skipif(importlib.util.find_spec("miepython") is None, reason="needs miepython")
+OTHER = [name for name in kinds.KINDS if name != kinds.FOG]
+OPAC_FOG = GammaSizes(3.04e-4 * 500.0**4 * 5e8, 4.0, 0.0562 * 500.0**1.77, 1.77)
+"""1 droplet a cm^3: Hess, Koepke and Schult (1998), component FOGR."""
+
+
+@needs_mie
+@pytest.mark.parametrize(
+    ("sizes", "nm", "index", "radii_um", "per_km"),
+    [
+        (GammaSizes.of_radii(20.0, 3.0, 1.0, 10.0), 550, 1.333, (0.05, 100.0), 28.74),
+        (GammaSizes.of_radii(20.0, 3.0, 1.0, 8.0), 550, 1.333, (0.05, 100.0), 18.65),
+        (GammaSizes.of_radii(200.0, 6.0, 1.0, 2.0), 550, 1.333, (0.05, 20.0), 8.675),
+        (GammaSizes.of_radii(100.0, 6.0, 1.0, 4.0), 450, 1.34, (0.05, 40.0), 16.33),
+        (GammaSizes.of_radii(100.0, 6.0, 1.0, 4.0), 700, 1.33, (0.05, 40.0), 16.73),
+        (GammaSizes.of_radii(100.0, 1.0, 0.5, 0.05), 450, 1.34, (0.005, 20.0), 0.1056),
+        (GammaSizes.of_radii(100.0, 1.0, 0.5, 0.05), 700, 1.33, (0.005, 20.0), 0.1055),
+        (OPAC_FOG, 400, 1.339, (0.02, 50.0), 0.5570),
+        (OPAC_FOG, 550, 1.333, (0.02, 50.0), 0.5620),
+        (OPAC_FOG, 700, 1.331, (0.02, 50.0), 0.5650),
+        (OPAC_FOG, 1000, 1.327 - 2.89e-6j, (0.02, 50.0), 0.5744),
+        (OPAC_FOG, 1500, 1.321 - 2e-4j, (0.02, 50.0), 0.5821),
+    ],
+    ids=[
+        "heavy advection fog, Shettle and Fenn (1979)",
+        "moderate advection fog",
+        "moderate radiation fog",
+        "cloud C1 at 450 nm, Deirmendjian (1969)",
+        "cloud C1 at 700 nm",
+        "haze M at 450 nm, Deirmendjian (1969)",
+        "haze M at 700 nm",
+        *(f"fog at {nm} nm, OPAC" for nm in (400, 550, 700, 1000, 1500)),
+    ],
+)
+def test_droplets_stop_light_as_published(sizes, nm, index, radii_um, per_km):
+    """Within 2 % of the tables named."""
+    assert 1e3 * mie.optics(sizes, index, nm, radii_um).extinction_per_m == pytest.approx(per_km, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("nm", "per_km"), [(400, 6.311e-7), (450, 5.564e-7), (500, 4.943e-7), (550, 4.383e-7), (800, 2.828e-7)]
+)
+def test_smoke_absorbs_as_opac_has_it(nm, per_km):
+    """1 particle a cm^3 of soot: Hess, Koepke and Schult (1998), component SOOT, within 2 %."""
+    table = tables.table("media")
+    absorbed = table["smoke_per_km"] * (1.0 - table["smoke_albedo"])
+    assert np.exp(np.interp(nm, table["wavelength_nm"], np.log(absorbed))) == pytest.approx(per_km, rel=0.02)
+
+
+@pytest.mark.parametrize(("kind", "albedo", "g"), [("smoke", 0.209, 0.337), ("dust", 0.837, 0.775)])
+def test_smoke_and_dust_scatter_as_opac_has_them(kind, albedo, g):
+    """OPAC's SOOT and MITR at 550 nm, within 2 %."""
+    medium = kinds.medium_of(kind, mor_m=100.0)
+    assert (medium.albedo, medium.g) == pytest.approx((albedo, g), rel=0.02)
+
+
+@needs_mie
+@pytest.mark.parametrize("kind", media.SPHERES)
+@pytest.mark.parametrize("nm", [400, 550, 1000])
+def test_the_table_is_what_the_theory_gives(kind, nm):
+    """Extinction, albedo and mean cosine of the shipped rows; `python -m docs.studies.media` writes them again."""
+    spheres, table = media.SPHERES[kind], tables.table("media")
+    optics = mie.optics(spheres.sizes, spheres.index_at(nm), nm, spheres.radii_um)
+    row = list(table["wavelength_nm"]).index(nm)
+    assert table[f"{kind}_per_km"][row] == pytest.approx(1e3 * optics.extinction_per_m, rel=1e-4)
+    assert table[f"{kind}_albedo"][row] == pytest.approx(optics.albedo, abs=1e-5)
+    if nm == 550:
+        assert kinds.medium_of(kind, mor_m=100.0).g == pytest.approx(optics.g, rel=2e-3)
+
+
+@needs_mie
+def test_drops_of_rain_are_rays_of_large_spheres():
+    """With its diffraction, half of all, straight on, a drop's mean cosine is a sphere's of size parameter 2e4."""
+    _, _, g = mie.efficiencies(1.333, 2e4)
+    assert (1.0 + kinds.medium_of("rain", rate_mm_h=10.0).g) / 2.0 == pytest.approx(g, rel=2e-3)
+
+
+def test_rain_has_its_bows():
+    """Descartes' angles for n = 1.333: 138 and 129 degrees from straight on, and it is darker between them."""
+    phase = kinds.medium_of("rain", rate_mm_h=10.0).phase_function
+    angles = np.arange(120.0, 150.0, 0.1)
+    values = phase.value(np.cos(np.radians(angles)))
+    assert angles[values.argmax()] == pytest.approx(138.2, abs=0.5)
+    second = angles < 133.0
+    assert angles[second][values[second].argmax()] == pytest.approx(129.0, abs=0.8)
+    assert phase.value(math.cos(math.radians(134.0))) < 0.3 * values.max()
+
+
+@pytest.mark.parametrize("kind", OTHER)
+def test_a_phase_function_sends_all_somewhere(kind):
+    """Its integral over all directions is 1, to 0.1 %, by Gauss and Legendre's rule between the rows."""
+    phase = kinds.medium_of(
+        kind, **({"rate_mm_h": 5.0} if kinds.KINDS[kind].rated else {"mor_m": 100.0})
+    ).phase_function
+    assert phase.moments(1)[0] == pytest.approx(1.0, abs=1e-3)
+    assert (phase.table()[1] >= 0.0).all()
+
+
+def test_a_picture_of_rain_loses_half_of_what_a_beam_does():
+    """Drops that a camera resolves hide what is behind their cross section, and no more."""
+    assert kinds.medium_of("rain", rate_mm_h=10.0).sigma_t_per_m == pytest.approx(rain_extinction(10.0) / 2.0)
+
+
+@pytest.mark.parametrize("nm", [450.0, 550.0, 650.0])
+def test_media_in_one_place_add_up(nm):
+    """Extinction and scattering by wavelength are sums; so is the phase function times the scattering at 550 nm."""
+    media_there = [
+        kinds.medium_of("dust", mor_m=300.0),
+        FogMedium(0.01, g=0.8),
+        kinds.medium_of("rain", rate_mm_h=25.0),
+    ]
+    both = kinds.joined(media_there)
+    at = [medium.sigma_t_per_m * medium.extinction_at(nm) for medium in media_there]
+    assert both.sigma_t_per_m * both.extinction_at(nm) == pytest.approx(sum(at), rel=1e-3)
+    scattered = sum(t * medium.albedo_at(nm) for t, medium in zip(at, media_there, strict=True))
+    assert both.sigma_t_per_m * both.extinction_at(nm) * both.albedo_at(nm) == pytest.approx(scattered, rel=1e-3)
+    cosines = np.cos(np.radians([0.5, 10.0, 60.0, 138.0, 175.0]))
+    sent = sum(m.sigma_t_per_m * m.albedo * m.phase_function.value(cosines) for m in media_there)
+    ours = both.sigma_t_per_m * both.albedo * both.phase_function.value(cosines)
+    np.testing.assert_allclose(ours, sent, rtol=2e-3)
+
+
+def test_ten_of_a_kind_are_one_ten_times_as_dense():
+    one = kinds.medium_of("haze", mor_m=1000.0)
+    ten = kinds.joined([one] * 10)
+    assert ten.visibility_m == pytest.approx(100.0) and ten.phase == one.phase
+    np.testing.assert_allclose(ten.extinction_at([450.0, 650.0]), one.extinction_at([450.0, 650.0]), rtol=1e-12)
+
+
+def test_a_part_of_fog_scatters_less_than_it_stops():
+    """Albedo of a mixture: smoke takes light away from fog."""
+    both = Fog(100.0, also=(Fog(100.0, kind="smoke"),)).over(FogMedium(0.1))
+    assert both.albedo == pytest.approx((1.0 + kinds.medium_of("smoke", mor_m=1.0).albedo) / 2.0)
+    assert both.visibility_m == pytest.approx(50.0)
+    assert isinstance(Fog(100.0).over(FogMedium(0.1)).phase_function, HenyeyGreenstein)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"kind": "rain", "rate_mm_h": 0.0}, "0.01 to 1000"),
+        ({"kind": "snow", "rate_mm_h": -1.0}, "0.01 to 1000"),
+        ({"kind": "rain", "rate_mm_h": 1e9}, "0.01 to 1000"),
+        ({"kind": "rian", "rate_mm_h": 1.0}, "Did you mean 'rain'"),
+        ({"kind": "dust", "rate_mm_h": 1.0}, "a visibility"),
+        ({"kind": "dust"}, "one of them"),
+    ],
+)
+def test_what_no_medium_is_like_is_refused(asked, words):
+    with pytest.raises(ParameterError, match=words):
+        kinds.medium_of(**asked)
+
+
+def test_media_that_thin_with_different_heights_are_refused():
+    with pytest.raises(ParameterError, match="one scale height"):
+        kinds.joined([FogMedium(0.1), FogMedium(0.1, profile="exponential")])
+
+
+@pytest.mark.parametrize(
+    ("number", "alpha", "power", "mode_um"),
+    [
+        pytest.param(20, 3, 1, 10, id="strong advection fog"),
+        pytest.param(20, 3, 1, 8, id="moderate advection fog"),
+        pytest.param(100, 6, 1, 4, id="strong spray"),
+        pytest.param(100, 6, 1, 2, id="moderate spray"),
+        pytest.param(100, 1, 0.5, 0.05, id="haze at the coast"),
+        pytest.param(100, 2, 0.5, 0.07, id="haze of a continent"),
+        pytest.param(20, 2, 0.5, 1, id="Chu and Hogg"),
+    ],
+)
+def test_sizes_are_those_of_rasshofer(number, alpha, power, mode_um):
+    """Rasshofer, Spies and Spies (2011), eq. 9 and table 1: their number by radius, halved for one by diameter."""
+    b = alpha / power / mode_um**power
+    radii = np.array([0.3, 1.0, 3.0]) * mode_um
+    by_radius = power * number * b ** ((alpha + 1) / power) / math.gamma((alpha + 1) / power) * radii**alpha
+    by_radius *= np.exp(-b * radii**power)  # 1/(cm^3 um)
+    ours = GammaSizes.of_radii(number, alpha, power, mode_um).density(2e-3 * radii)
+    np.testing.assert_allclose(ours, by_radius * 1e9 / 2.0, rtol=1e-9)
