@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import math
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def intensity(index: complex, sizes: Array, numbers: Array, cosines: Array) -> A
     return total
 
 
-def _miepython() -> Any:
+def _miepython() -> ModuleType:
     try:
         return importlib.import_module("miepython")
     except ImportError as missing:

@@ -448,25 +448,28 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
             medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
     except ParameterError as problem:
         raise fault("rate" if rate is not None else "kind", str(problem)) from problem
-    _warn_beyond(attributes.path, kind, rate, notes)
+    if rate is not None:
+        warn_beyond(attributes.path, Fog(kind=kind, rate_mm_h=rate), notes)
     if not also:
         return medium
     try:
         if (more := Fog.named(also)) is None or more.clear:
             raise ParameterError("it takes names of media, as rain10 or rain10+haze2000")
-        for part in (more, *more.also):
-            _warn_beyond(attributes.path, part.kind, part.rate_mm_h, notes)
+        warn_beyond(attributes.path, more, notes)
         return joined([medium, more.over(medium)])
     except ParameterError as problem:
         raise fault("also", str(problem)) from problem
 
 
-def _warn_beyond(path: str, kind: str | None, rate: float | None, notes: Diagnostics) -> None:
-    """Note a rate at which nobody measured the sizes of the drops."""
-    if kind is not None and rate is not None and rate > (most := HEAVIEST_MM_H[kind]):
-        notes.warn(
-            path, f"{kind} of {rate:g} mm/h: its drop sizes were measured up to {most:g} mm/h, and are a guess here"
-        )
+def warn_beyond(path: str, fog: Fog, notes: Diagnostics) -> None:
+    """Note a rate of rain or snow at which nobody measured the sizes of the drops."""
+    for part in (fog, *fog.also):
+        if part.rate_mm_h is not None and part.rate_mm_h > (most := HEAVIEST_MM_H[str(part.kind)]):
+            notes.warn(
+                path,
+                f"{part.kind} of {part.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a "
+                f"guess here",
+            )
 
 
 def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:

@@ -139,6 +139,8 @@ def test_a_rate_that_nobody_measured_is_noted(empty, how):
     stage = empty()
     fog_box(stage, "/Fog", **how)
     assert any("were measured up to" in note.text and note.path == "/Fog" for note in translate(stage).notes)
+    over = translate(stage, fog=Fog(kind="rain", rate_mm_h=200.0)).notes
+    assert any("rain of 200 mm/h" in note.text and note.path == "" for note in over)
 
 
 @pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", None), ("mie", 1e4)])

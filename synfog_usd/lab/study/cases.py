@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd.fog import Boundary, FogMedium, FogVolume
+from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.medium import extinction_from_visibility
 from synfog_usd.scene import SceneDict
@@ -163,6 +163,13 @@ def slab(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
     return known_slab(
         empty_slab(FogMedium(float(extinction_from_visibility(mor_m))), ground, width_px=8, height_px=12, **how)
     )
+
+
+def weather(name: str) -> Known:
+    """An empty slab of media by their name, which absorb nothing."""
+    media = Fog.named(name)
+    assert media is not None
+    return known_slab(empty_slab(media.over(FogMedium(1.0)), 0.15, width_px=8, height_px=12))
 
 
 def halves() -> Known:
@@ -407,6 +414,10 @@ def _slabs() -> list[Case]:
             "slab of optical depth 1000, 50 cm under its top", deep, FULL, SOLVED, bands=2, samples=128, peer_samples=64
         ),
         Case("two half slabs stacked are one", halves, FULL, SOLVED, bands=3),
+        *(
+            Case(f"empty slab of {name}", functools.partial(weather, name), FULL, SOLVED, bands=3, quick="+" in name)
+            for name in ("mist300", "spray150", "snow10", "rain25+mor150")
+        ),
     ]
 
 
