@@ -463,11 +463,11 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
 
 def warn_beyond(path: str, fog: Fog, notes: Diagnostics) -> None:
     """Note a rate of rain or snow at which nobody measured the sizes of the drops."""
-    for part in (fog, *fog.also):
-        if part.rate_mm_h is not None and part.rate_mm_h > (most := HEAVIEST_MM_H[str(part.kind)]):
+    for medium in (fog, *fog.also):
+        if medium.rate_mm_h is not None and medium.rate_mm_h > (most := HEAVIEST_MM_H[str(medium.kind)]):
             notes.warn(
                 path,
-                f"{part.kind} of {part.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a "
+                f"{medium.kind} of {medium.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a "
                 f"guess here",
             )
 
