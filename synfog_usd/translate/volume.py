@@ -467,8 +467,8 @@ def warn_beyond(path: str, fog: Fog, notes: Diagnostics) -> None:
         if medium.rate_mm_h is not None and medium.rate_mm_h > (most := HEAVIEST_MM_H[str(medium.kind)]):
             notes.warn(
                 path,
-                f"{medium.kind} of {medium.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a "
-                f"guess here",
+                f"{medium.kind} of {medium.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are "
+                f"a guess here",
             )
 
 
