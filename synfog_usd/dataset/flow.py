@@ -1,8 +1,8 @@
-"""Optical flow and tracks of a sequence, from the labels of its frames.
+"""Optical flow, scene flow and tracks of a sequence, from the labels of its frames.
 
-Every instance is a rigid body: what a pixel shows is carried on by its pose in the next frame, or in the one before,
-and seen by that frame's camera.  Takes labels.exr and labels.json of each frame; gives flow.exr beside them, and
-tracks.json of the sequence.  Knows nothing of stages or renderers.
+Every instance, and every part that moves by itself within one, is a rigid body: what a pixel shows is carried on by its
+pose in the next frame, or in the one before, and seen by that frame's camera.  Takes labels.exr and labels.json of each
+frame; gives flow.exr beside them, and tracks.json of the sequence.  Knows nothing of stages or renderers.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ SEEN, HIDDEN, OUTSIDE = 1.0, 0.0, -1.0
 """What `seen` says: the other frame shows the point, something stands before it, its picture ends before."""
 NEAR = 0.01
 """Share of the depth by which the other frame's may differ where it shows the same point, beside the slope there."""
+CHANNELS = ("X", "Y", "seen", "motion.X", "motion.Y", "motion.Z")
 COMMENT = (
     "X: column, Y: row in the other frame less those in this one [px], of one ray through each pixel's centre; "
     "seen 1: the other frame shows the point; 0: something stands before it; -1: outside of its picture. "
-    "forward: the next frame, backward: the one before. Instances are rigid: wheels and limbs go with their owner"
+    "motion: place of the point at the other frame's time less that at this one's [m], in the stage's axes, Z up; "
+    "0 of what stands. forward: the next frame, backward: the one before. What moves is rigid, each wheel and limb by "
+    "itself"
 )
 
 
@@ -39,17 +42,20 @@ class Labelled:
     """The labels of one frame.
 
     Attributes:
-        instance: (H, W) ids; depth_m: (H, W) planar, inf at the sky.
+        instance: (H, W) ids; part: (H, W) ids of what moves by itself in it, 0 for none.
+        depth_m: (H, W) planar, inf at the sky.
         matrix: (3, 3) of the camera [px], its pixel centres at whole numbers.
         to_world: (4, 4) from the camera, x right, y down, z ahead [m].
-        rows: of the instances, by id.
+        rows: of the instances, by id; parts: of what moves by itself in them.
     """
 
     instance: Indices
+    part: Indices
     depth_m: Array
     matrix: Array
     to_world: Array
     rows: Mapping[int, Mapping[str, Any]]
+    parts: Mapping[int, Mapping[str, Any]]
 
 
 def read(folder: Path) -> Labelled | str:
@@ -62,17 +68,23 @@ def read(folder: Path) -> Labelled | str:
     camera = content.get("camera", {})
     if camera.get("model") != "pinhole":
         return f"the camera is {camera.get('model', 'unknown')}; flow is told of a pinhole"
-    names = ["instance.ID", "depth.Z"]
+    names = ["depth.Z", "instance.ID", *(["part.ID"] if "parts" in content else [])]
     planes = writers.read_exr(folder / "labels.exr", quantity=Quantity.DATA, channels=names).pixels.astype(np.float64)
-    rows = {int(row["id"]): row for row in content["instances"]}
-    ids = np.rint(planes[:, :, 0]).astype(np.int64)
+    ids = np.rint(planes[:, :, 1:]).astype(np.int64)
+    rows, parts = ({int(row["id"]): row for row in content.get(kind, ())} for kind in ("instances", "parts"))
     return Labelled(
-        ids, planes[:, :, 1], np.array(camera["camera_matrix_px"]), np.array(camera["camera_to_world"]), rows
+        ids[:, :, 0],
+        ids[:, :, 1] if "parts" in content else np.zeros(ids.shape[:2], dtype=np.int64),
+        planes[:, :, 0],
+        np.array(camera["camera_matrix_px"]),
+        np.array(camera["camera_to_world"]),
+        rows,
+        parts,
     )
 
 
 def flow(frame: Labelled, other: Labelled) -> Array:
-    """(H, W, 3) X and Y [px] from one frame to another, and `seen`.
+    """(H, W, 6) `CHANNELS` from one frame to another: X and Y [px], `seen`, and the way [m] of what a pixel shows.
 
     The sky is infinitely far: it moves as the camera turns.
     """
@@ -82,14 +94,19 @@ def flow(frame: Labelled, other: Labelled) -> Array:
     sky = ~np.isfinite(frame.depth_m)
     points = rays * np.where(sky, 1.0, frame.depth_m)[..., None]
     world = points @ frame.to_world[:3, :3].T + np.where(sky[..., None], 0.0, frame.to_world[:3, 3])
+    begun = world.copy()
     twins = {row["path"]: number for number, row in other.rows.items()}
     twin = np.zeros(max([0, *frame.rows]) + 1, dtype=np.int64)
     for number in np.unique(frame.instance[frame.instance > 0]):
         twin[number] = twins.get(frame.rows[number]["path"], 0)
-        way = _way(frame.rows[number], other.rows.get(twin[number]))
-        if way is not None:
-            mine = frame.instance == number
-            world[mine] = world[mine] @ way[:3, :3].T + way[:3, 3]
+    whole = np.where(frame.part > 0, 0, frame.instance)
+    for ids, rows, others in ((whole, frame.rows, other.rows), (frame.part, frame.parts, other.parts)):
+        by_path = {row["path"]: row for row in others.values()}
+        for number in np.unique(ids[ids > 0]):
+            way = _way(rows[number], by_path.get(rows[number]["path"]))
+            if way is not None:
+                mine = ids == number
+                world[mine] = world[mine] @ way[:3, :3].T + way[:3, 3]
     local = (world - np.where(sky[..., None], 0.0, other.to_world[:3, 3])) @ other.to_world[:3, :3]
     ahead = local[..., 2] > 1e-6
     position = local @ other.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
@@ -98,7 +115,8 @@ def flow(frame: Labelled, other: Labelled) -> Array:
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     row, column = (np.clip(np.rint(a).astype(np.int64), 0, n - 1) for a, n in ((y, height), (x, width)))
     shown = _shows(other, row, column, local[..., 2], np.where(sky, 0, twin[frame.instance]), sky)
-    return np.concatenate([moved, np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)[..., None]], axis=-1)
+    seen = np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)
+    return np.concatenate([moved, seen[..., None], world - begun], axis=-1)
 
 
 def _shows(other: Labelled, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
@@ -183,7 +201,7 @@ def _rate(yaw: Array, number: int) -> float:
 
 
 def _image(name: str, view: Labelled, other: Labelled) -> Image:
-    channels = tuple(f"{name}.{channel}" for channel in ("X", "Y", "seen"))
+    channels = tuple(f"{name}.{channel}" for channel in CHANNELS)
     return Image(flow(view, other).astype(np.float32), channels, Quantity.DATA, provenance={"comment": COMMENT})
 
 

@@ -72,6 +72,8 @@ def label_image(
     instances: tuple[Instance, ...],
     lane: npt.NDArray[np.int64] | None = None,
     disparity: npt.NDArray[np.float32] | None = None,
+    *,
+    parts: bool = False,
 ) -> Image:
     """All label AOVs as one float32 image.
 
@@ -84,6 +86,7 @@ def label_image(
         instances: of the scene.
         lane: (H, W) numbers of lanes, which become a channel `lane.ID`; None where the scene tells of none.
         disparity: (H, W, 2) as `stereo.planes` gives it; None where no right eye is there.
+        parts: whether there is a channel `part.ID`, of what moves by itself within an instance.
     """
     semantic = np.array([0, *(cityscapes.label(instance.label).id for instance in instances)], dtype=np.float32)
     crypto = np.array([0.0, *(_crypto_float(instance.path) for instance in instances)], dtype=np.float32)
@@ -118,6 +121,8 @@ def label_image(
         planes, channels = [*planes, lane], (*channels, "lane.ID")
     if disparity is not None:
         planes, channels = [*planes, *np.moveaxis(disparity, 2, 0)], (*channels, *stereo.CHANNELS)
+    if parts:
+        planes, channels = [*planes, aovs.part_id], (*channels, "part.ID")
     return Image(np.stack(planes, axis=2).astype(np.float32), channels, Quantity.DATA, provenance=metadata)
 
 

@@ -220,6 +220,16 @@ class Projection:
             "axes": "camera: x right, y down, z forward; world: the stage in metres, Z up; pixels: the first one's "
             "centre is (0, 0)",
             "moves": self.camera.moves,
+            "shutter": self._shutter(),
+        }
+
+    def _shutter(self) -> dict[str, Any]:
+        """When the rows expose [s]; the frame is of the middle of the whole."""
+        whole, rolling = self.camera.shutter_s, self.camera.rolling
+        return {
+            "first_row_s": round((1.0 - rolling) * whole, 9),
+            "row_time_s": round(rolling * whole / self.height_px, 12),
+            "rows": "end one after the other" if self.camera.global_reset else "begin one after the other",
         }
 
 
@@ -285,26 +295,17 @@ def _outline(pixels: Indices, shape: tuple[int, int], nearest: tuple[Indices, In
 
 def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[float, float, float]) -> dict[str, Any]:
     """Pose of an instance, and the box around it along the axes of its prim."""
-    from scipy.spatial.transform import Rotation
-
-    u, _, right = np.linalg.svd(frame[:3, :3])  # the rotation nearest to the prim's axes
-    turn = u @ right
-    if np.linalg.det(turn) < 0.0:
-        turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
+    turn = _turn(frame)
     local = (solid.points - frame[:3, 3]) @ turn
     low, high = extent(local)
     places = np.stack([frame[:3, 3], frame[:3, 3] + turn @ ((low + high) / 2.0)])
     from_eye, world = view.local(places), places + np.asarray(origin_m)
-    to_world, to_camera = (
-        Rotation.from_matrix(matrix).as_quat(canonical=True, scalar_first=True)
-        for matrix in (turn, view.rotation @ turn)
-    )
     return {
         "pose": {
             "world_m": _rounded(world[0], 4),
-            "world_wxyz": _rounded(to_world, 6),
+            "world_wxyz": _wxyz(turn),
             "camera_m": _rounded(from_eye[0], 4),
-            "camera_wxyz": _rounded(to_camera, 6),
+            "camera_wxyz": _wxyz(view.rotation @ turn),
         },
         "box_3d": {
             "size_m": _rounded(high - low, 4),
@@ -312,6 +313,31 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
             "centre_camera_m": _rounded(from_eye[1], 4),
         },
     }
+
+
+def moving_parts(scene: SceneDict) -> list[dict[str, Any]]:
+    """What `labels.json` tells of the parts of instances that move by themselves: id, prim path, instance and pose."""
+    rows = []
+    for part in scene.parts:
+        place = part.frame[:3, 3] + np.asarray(scene.origin_m)
+        pose = {"world_m": _rounded(place, 4), "world_wxyz": _wxyz(_turn(part.frame))}
+        rows.append({"id": part.id, "path": part.path, "instance": part.instance, "pose": pose})
+    return rows
+
+
+def _turn(frame: Array) -> Array:
+    """(3, 3) rotation nearest to a prim's axes."""
+    u, _, right = np.linalg.svd(frame[:3, :3])
+    turn = u @ right
+    if np.linalg.det(turn) < 0.0:
+        turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
+    return np.asarray(turn)
+
+
+def _wxyz(turn: Array) -> list[float]:
+    from scipy.spatial.transform import Rotation
+
+    return _rounded(Rotation.from_matrix(turn).as_quat(canonical=True, scalar_first=True), 6)
 
 
 def _rounded(values: Array | Sequence[float], digits: int) -> list[float]:

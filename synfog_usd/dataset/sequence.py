@@ -28,6 +28,7 @@ from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
 from synfog_usd.dataset.session import begin, one_camera
 
 SEQUENCE = "sequence.json"
+CAMERA = "camera.json"
 CLIPS = "clips"
 
 SHOWN = (".png", ".jpg")
@@ -71,6 +72,7 @@ def bake_sequence(
     bakes: list[Baked] = []
     frame_log = _FrameLog(log, tuple(f"{name}: " for name in (str(plan.stage), *lightings)))
     with system.only_writer(plan.out):
+        files.remove_leftovers(plan.out)
         for number, code in enumerate(codes):
             folder, seed = f"{number:06d}", frame_seed(plan.seed, code)
             clip = ClipFrame(number, per_s, adaptation_s, dict(before))
@@ -90,12 +92,23 @@ def bake_sequence(
         manifest = {"schema": "synfog-usd/sequence", "version": 1, "stage": plan.stage.name, "frames_per_s": per_s}
         manifest |= {"sampling_seed": plan.seed, "adaptation_s": adaptation_s, "warnings": warnings, "frames": rows}
         manifest["clips"] = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
+        for row in rows:
+            _write_camera(plan.out / row["folder"], row, per_s)
         flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
         files.write_json(plan.out / SEQUENCE, manifest)
         if moved := _set_aside(plan.out, earlier - _clip_files(plan.out)):
             log(f"{plan.out}: {moved}")
     progress("done", 1.0)
     return manifest, bakes[0]
+
+
+def _write_camera(folder: Path, row: Mapping[str, Any], per_s: float) -> None:
+    """What labels.json tells of a frame's camera as a file of its own, with the frame's time."""
+    labels = folder / "labels.json"
+    if labels.is_file():
+        moment = {"frame": row["number"], "time_code": row["time_code"], "time_s": round(row["number"] / per_s, 9)}
+        camera = json.loads(labels.read_bytes()).get("camera", {})
+        files.write_json(folder / CAMERA, {"schema": "synfog-usd/camera", "version": 1, **moment, **camera})
 
 
 def _exposures(manifest: Mapping[str, Any]) -> dict[str, tuple[float, float]]:

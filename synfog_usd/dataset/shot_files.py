@@ -258,7 +258,7 @@ def write_labels(
             "camera_matrix_px": warp.camera_matrix(),
             "distortion_coefficients": list(warp.coefficients),
         }
-    image = labels.label_image(visible, scene.instances, area, disparity)
+    image = labels.label_image(visible, scene.instances, area, disparity, parts=bool(scene.parts))
     header = {
         name: str(value) for name, value in image.provenance.items() if name.startswith("cryptomatte/")
     }  # where Cryptomatte's readers look
@@ -279,6 +279,8 @@ def write_labels(
         metadata |= {"stereo": pair.metadata()}
     elif pair:
         metadata |= {"stereo": {"right": pair.right.path, "no_disparity": "the lens distorts: rows do not match"}}
+    if scene.parts:
+        metadata |= {"parts": objects.moving_parts(scene)}
     if area is not None:
         metadata |= {"lanes": lanes.rows(area, scene, bend)}
     files.write_json(plan.out / "labels.json", labels.label_list(visible, scene.instances, more) | metadata)

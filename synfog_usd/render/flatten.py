@@ -68,9 +68,9 @@ def flatten(
             this scene.
 
     Returns:
-        the scene with fewer shapes; for each joined mesh its key -> the label id of every face; and where prototypes
-        stand whose instances are not written out, None where there are none.  Shapes that are not joined keep their
-        place in `instance_of`.
+        the scene with fewer shapes; for each joined mesh its key -> the number of every face, see
+        `SceneDict.number_of`; and where prototypes stand whose instances are not written out, None where there are
+        none.  Shapes that are not joined keep their place in `instance_of`.
     """
     world = source.world
     gathered = _Gathered(source)
@@ -112,7 +112,7 @@ class _Gathered:
         for key, value in source.world.items():
             if key in crowd or (key.startswith("shape_") and _plain(value)):
                 mesh, block = crowd.get(key, (value, None))
-                label = np.array([[source.instance_of.get((key,), 0)]])
+                label = np.array([[source.number_of((key,))]])
                 self._take(_Member(key, ("",), (mesh,), None, label, source.motion_of.get(key)), block)
                 self.gone.add(key)
 
@@ -150,7 +150,7 @@ class _Gathered:
             self._parts.setdefault((*sort, block, member.motion is not None, moves), []).append(some)
 
     def joined(self, joints: Joints) -> tuple[SceneDict, FaceInstances, dict[tuple[str, str], Piece]]:
-        """The scene with them joined, the label id of every face, and where each prototype's mesh lies in them."""
+        """The scene with them joined, the number of every face, and where each prototype's mesh lies in them."""
         source, gone = self._source, self.gone
         joined: dict[str, dict[str, Any]] = {}
         instances: dict[str, npt.NDArray[np.int32]] = {}

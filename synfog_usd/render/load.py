@@ -121,7 +121,7 @@ class MitsubaScene:
         boundaries: index of the fog volume -> its null-material shape object.
         offset: (u, v) to add to a film position; a thin lens cannot shift its axis by itself.
         source: the scene it was made from, with its meshes joined.
-        face_instances: key of a joined mesh -> label id of each face.
+        face_instances: key of a joined mesh -> number of each face, see `SceneDict.number_of`.
         parts: key -> object, of all that `source` names but what stands inside of groups.
         spectral_bsdfs: key of a material -> the object that takes its place where paths carry bands, see
             `spectra.bsdfs`; made when it is first asked for.

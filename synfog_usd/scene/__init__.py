@@ -45,6 +45,7 @@ class Camera:
         drift_m: (x, y, z) way [m] that it goes while it exposes, evenly, in the scene's axes: from the moment at which
             the first row begins to that at which the last one ends.
         turn_rad: (x, y, z) rotation vector [rad] by which it turns meanwhile about its own place, in the scene's axes.
+        shutter_s: that time [s]; 0 where no shutter is open for any time.
         rolling: part of that time which lies between the beginnings of the top row and of the bottom row, 0 to 1; 0
             for a global shutter, under which all rows expose together.
         global_reset: all rows begin together, and `rolling` lies between the ends of the top row and of the bottom row.
@@ -69,6 +70,7 @@ class Camera:
     width_m: float = 0.0
     drift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shutter_s: float = 0.0
     rolling: float = 0.0
     global_reset: bool = False
     during: tuple[float, float] = (0.0, 1.0)
@@ -147,6 +149,23 @@ class Instance:
 
 
 @dataclass(frozen=True)
+class MovingPart:
+    """What moves by itself within an instance: a wheel, a leg.
+
+    Attributes:
+        id: from 1 on.
+        path: prim path.
+        instance: label id of what it is part of.
+        frame: (4, 4) float64 from the prim's own axes to the scene's; may scale and mirror.
+    """
+
+    id: int
+    path: str
+    instance: int
+    frame: Array = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True)
 class Lanelet:
     """A lane of a road, as Lanelet2 has it.
 
@@ -183,6 +202,8 @@ class SceneDict:
         fog: fog volumes; the innermost one that contains the camera surrounds it.
         instances: what the label ids mean, ids 1..K in order.
         instance_of: (shape key,) or (instance key, key in its group) -> label id.
+        parts: what moves by itself within an instance from frame to frame, ids 1..P in order.
+        part_of: (shape key,) -> id of the part that it belongs to.
         reflectance_of: key of a material in `world` -> (401,) reflectance on `photometry.WAVELENGTHS_NM`, 0 to 1, that
             it has instead of the one that its colour suggests; the colour says how bright it is, see
             `render.spectra.bsdfs`.
@@ -207,6 +228,8 @@ class SceneDict:
     fog: tuple[FogVolume, ...] = ()
     instances: tuple[Instance, ...] = ()
     instance_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
+    parts: tuple[MovingPart, ...] = ()
+    part_of: Mapping[tuple[str, ...], int] = field(default_factory=dict)
     group_of: Mapping[str, str] = field(default_factory=dict)
     flux_of: Mapping[str, float] = field(default_factory=dict)
     reflectance_of: Mapping[str, Array] = field(default_factory=dict)
@@ -219,6 +242,13 @@ class SceneDict:
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[Note, ...] = ()
     further_cameras: tuple[Camera, ...] = ()
+
+    def number_of(self, key: tuple[str, ...]) -> int:
+        """Number of a shape for who asks what a ray meets: the label id of its instance, or that of its part behind
+        those of all instances; 0 where it has none.
+        """
+        part = self.part_of.get(key)
+        return self.instance_of.get(key, 0) if part is None else len(self.instances) + part
 
     def away_m(self, places: Array) -> Array:
         """(N,) distances [m] of places (N, 3) from the nearest camera, wherever it is in the stage's frames."""

@@ -19,7 +19,7 @@ from pxr import Sdf, Usd, UsdGeom
 from synfog_usd.base.arrays import Array, FloatArray, extent
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogVolume
-from synfog_usd.scene import Camera, Instance, SceneDict, boxes
+from synfog_usd.scene import Camera, Instance, MovingPart, SceneDict, boxes
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import PREFIX
@@ -155,6 +155,8 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
         fog=around,
         instances=tuple(scene.instances),
         instance_of=scene.instance_of,
+        parts=tuple(scene.moving_parts.values()),
+        part_of=scene.part_of,
         group_of=scene.group_of,
         flux_of={name: view.light_scale * lumen for name, lumen in scene.flux_of.items()},
         reflectance_of={key: curve for key, curve in scene.materials.reflectance_of.items() if key in world},
@@ -331,6 +333,8 @@ class _Assembler:
         self.deforming: list[str] = []
         self.instance_of: dict[tuple[str, ...], int] = {}
         self.instance_ids: dict[str, int] = {}
+        self.moving_parts: dict[str, MovingPart] = {}
+        self.part_of: dict[tuple[str, ...], int] = {}
         self.group_of: dict[str, str] = {}
         self.flux_of: dict[str, float] = {}
         self.emission_of: dict[str, Array] = {}
@@ -510,6 +514,16 @@ class _Assembler:
         if leaf.kind == "Mesh" and leaf.prim.GetAttribute("points").ValueMightBeTimeVarying():
             self.deforming.append(path)
 
+    def note_part(self, key: str, path: str, instance: int) -> None:
+        """Whether a shape belongs to what moves by itself within its instance."""
+        part = self.mover.part(path, self.instances[instance - 1].path)
+        if part is None:
+            return
+        if part not in self.moving_parts:
+            frame, _ = self.poser.pose(part, self.space.matrix)
+            self.moving_parts[part] = MovingPart(len(self.moving_parts) + 1, part, instance, frame)
+        self.part_of[(key,)] = self.moving_parts[part].id
+
     def tell_motion(self) -> None:
         """Note what moves, or should, while the shutter is open."""
         if self.motion_of:
@@ -538,6 +552,8 @@ class _Assembler:
         key = f"shape_{len(self.shapes)}"
         instance = self.instance(leaf, placement, around)
         self.note_motion(key, leaf, placement)
+        if placement is None and key in self.moving:
+            self.note_part(key, leaf.path, instance)
         if emission is not None:
             light.refuse_many(leaf.path, len(self.flux_of))
             material = None if light.is_light_mesh(leaf.prim) else self.bindings.bound.get(leaf.path)

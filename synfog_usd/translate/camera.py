@@ -98,6 +98,7 @@ def read_camera(
         width_m=aperture[0] * 0.1 * space.metres_per_unit if parallel else 0.0,
         drift_m=drift,
         turn_rad=turn,
+        shutter_s=_shutter_s(prim, time),
         rolling=_rolling(prim, time, notes),
         global_reset=_global_reset(prim, time, notes),
     )
@@ -306,6 +307,12 @@ def _shutter(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
     )
     closes += _readout(prim, time)
     return (opens, closes) if math.isfinite(opens) and math.isfinite(closes) else (0.0, 0.0)
+
+
+def _shutter_s(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """Time [s] from the beginning of the top row to the end of the bottom row; 0 where no shutter is open."""
+    rate = prim.GetStage().GetTimeCodesPerSecond()
+    return 2.0 * half_exposure(prim.GetStage(), time, str(prim.GetPath())) / rate if 0.0 < rate < math.inf else 0.0
 
 
 def _readout(prim: Usd.Prim, time: Usd.TimeCode) -> float:

@@ -99,6 +99,15 @@ class Mover:
         attributes = [prim.GetAttribute(name) for name in _MOVING]
         return self._vary(prim) or any(one and one.ValueMightBeTimeVarying() for one in attributes)
 
+    def part(self, path: str, owner: str) -> str | None:
+        """Path of the nearest prim at or above `path`, and below `owner`, whose own transform may vary; or None."""
+        prim = self._prim(path)
+        while self._timed and prim is not None and prim.GetPath().HasPrefix(owner) and prim.GetPath() != owner:
+            if UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+                return str(prim.GetPath())
+            prim = prim.GetParent()
+        return None
+
     def _prim(self, path: str) -> Usd.Prim | None:
         prim = self._stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) else None
         return prim or None

@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,6 +46,7 @@ def aovs():
         depth_m=depth,
         normal=normal,
         instance_id=IDS,
+        part_id=np.zeros_like(IDS),
         transmittance=np.exp(-np.where(np.isfinite(depth), depth, 1e3) / 100),
     )
 
@@ -100,7 +102,7 @@ def test_a_surface_without_an_instance_is_unlabeled_and_not_sky(aovs):
     """What is drawn but has no label id has class 0 and no matte; sky is where the ray meets nothing."""
     depth = aovs.depth_m.copy()
     depth[0, 0] = 5.0
-    image = labels.label_image(Aovs(depth, depth, aovs.normal, IDS, aovs.transmittance), INSTANCES)
+    image = labels.label_image(replace(aovs, depth_m=depth, distance_m=depth), INSTANCES)
     assert plane(image, "semantic.ID")[0, :2].tolist() == [0, 23]
     assert plane(image, "crypto_object00.G")[0, 0] == 0
 
@@ -161,7 +163,8 @@ def test_the_list_has_a_box_around_what_is_seen(aovs):
 def test_an_empty_stage_has_labels_too():
     """Nothing but sky: class 23 everywhere, no instance."""
     nothing = np.full((2, 3), np.inf)
-    sky = Aovs(nothing, nothing, np.zeros((2, 3, 3)), np.zeros((2, 3), dtype=np.int64), np.ones((2, 3)))
+    none = np.zeros((2, 3), dtype=np.int64)
+    sky = Aovs(nothing, nothing, np.zeros((2, 3, 3)), none, none, np.ones((2, 3)))
     image = labels.label_image(sky, ())
     assert (plane(image, "semantic.ID") == 23).all() and json.loads(
         image.provenance["cryptomatte/f834d0a/manifest"]
@@ -190,7 +193,7 @@ def baked(tmp_path, monkeypatch):
     ids[:12], ids[5:50, 8:14], ids[50:, 70:] = 0, 2, 4
     depth = np.where(ids > 0, 10.0 * ids + np.arange(90) / 100.0, np.inf)
     normal = np.broadcast_to((0.0, -1.0, 0.0), (60, 90, 3)) * (ids > 0)[..., None]
-    seen = Aovs(depth + 0.5, depth, normal, ids, np.ones(ids.shape))
+    seen = Aovs(depth + 0.5, depth, normal, ids, np.zeros_like(ids), np.ones(ids.shape))
     (tmp_path / "g.yaml").write_text(DISTORTED)
     graph = camera.load_graph(tmp_path / "g.yaml")
     view = Camera("/Camera", np.eye(4), 90, 60, 70.0)

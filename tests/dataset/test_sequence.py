@@ -3,18 +3,23 @@ read.
 """
 
 import json
+import os
+import random
 import shutil
+import signal
+import subprocess
+import time
 
 import numpy as np
 import pytest
 import tifffile
-from support.cli import run
+from support.cli import command, run
 from support.stages import street
 
 import synfog_usd as sf
 from synfog_usd import camera
 from synfog_usd import stage as usd
-from synfog_usd.base import resources
+from synfog_usd.base import files, resources
 from synfog_usd.base.errors import OutputError, ParameterError
 from synfog_usd.base.seeds import frame_seed, seed32
 from synfog_usd.camera import writers
@@ -332,3 +337,55 @@ def test_a_clip_too_large_for_its_disk_ends_after_two_frames(tmp_path, monkeypat
     with pytest.raises(OutputError, match=r"10000 frames take about .* GB more, and 0.001 GB are free"):
         sf.bake(stage_of(tmp_path), tmp_path / "out", frames="0:9999", **SMALL)
     assert len(list((tmp_path / "out").glob("0*/bake.json"))) == 2
+
+
+KILLED = ("--frames", "0:2", "--fog", "clear", "--resolution", "48x28", "--samples", "2", "--quality", "reference")
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    """Three frames made in one go: the stage, and the hash of every file."""
+    folder = tmp_path_factory.mktemp("unbroken")
+    done = run("bake", stage_of(folder), "-o", folder / "out", *KILLED)
+    assert done.returncode == 0, done.stderr
+    return folder / "a.usda", hashes(folder / "out")
+
+
+def hashes(out):
+    return {str(path.relative_to(out)): files.sha256_of(path) for path in out.rglob("*") if path.is_file()}
+
+
+def killed_at_random(unbroken, out, seed):
+    """kill -9 of the command, or of it and the child that does the work, once a number of files is there and a moment
+    has passed; then the same command again.
+    """
+    stage, truth = unbroken
+    rng = random.Random(seed)
+    files_then, moment_s, together = rng.randrange(len(truth)), rng.uniform(0.0, 0.1), rng.random() < 0.5
+    words = command("bake", stage, "-o", out, *KILLED)
+    child = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
+    while child.poll() is None and sum(path.is_file() for path in out.rglob("*")) < files_then:
+        time.sleep(0.002)
+    time.sleep(moment_s)
+    killed = child.poll() is None
+    if killed:
+        (os.killpg if together else os.kill)(child.pid, signal.SIGKILL)
+    child.wait()
+    time.sleep(0.3)  # its child sees that it is gone
+    left = sum(path.is_file() for path in out.rglob("*"))
+    done = run("bake", stage, "-o", out, *KILLED)
+    assert done.returncode == 0, (seed, done.stderr)
+    assert hashes(out) == truth, (seed, killed, left)
+    print(f"killed with {left} of {len(truth)} files" if killed else "ended before it was killed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clip_that_is_killed_at_any_moment_goes_on_to_the_same_bytes(unbroken, tmp_path, seed):
+    killed_at_random(unbroken, tmp_path / "out", seed)
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_twenty_kills_of_a_clip_end_with_the_same_bytes(unbroken, tmp_path, seed):
+    killed_at_random(unbroken, tmp_path / "out", seed)

@@ -55,6 +55,7 @@ class Hits:
         normal: (N, 3) shading normal, as the surface has it.
         front: (N,) whether the ray came from the outer side of the geometry.
         instance_id: (N,) label id, 0 for none.
+        part_id: (N,) id of what moves by itself in it, 0 for none.
         fog: (N,) index of the fog volume whose boundary it is, -1 for a surface.
         see_through: (N,) share of light that passes unhindered (cut-out materials).
     """
@@ -65,6 +66,7 @@ class Hits:
     normal: Array
     front: Flags
     instance_id: Indices
+    part_id: Indices
     fog: Indices
     see_through: Array
 
@@ -78,6 +80,7 @@ class Aovs:
         depth_m: along the optical axis (planar), inf at the sky.
         normal: world frame (Z up), turned to the camera, 0 at the sky.
         instance_id: label id, 0 for sky and unknown.
+        part_id: id of what moves by itself within the instance, 0 for none.
         transmittance: of the fog between camera and surface (or the end of the fog).
     """
 
@@ -85,6 +88,7 @@ class Aovs:
     depth_m: Array
     normal: Array
     instance_id: Indices
+    part_id: Indices
     transmittance: Array
 
     def transmittance_image(self) -> Image:
@@ -107,17 +111,18 @@ def measure(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
     for low in range(0, count, batch):
         progress("what is seen", low / count)
         parts.append(_measured(tracer, np.arange(low, min(low + batch, count))))
-    distance, depth, normal, instance, through = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    distance, depth, normal, instance, part, through = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Aovs(
         distance.reshape(shape),
         depth.reshape(shape),
         normal.reshape(*shape, 3),
         instance.reshape(shape),
+        part.reshape(shape),
         through.reshape(shape),
     )
 
 
-def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, Indices, Array]:
+def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, Indices, Indices, Array]:
     """What some pixels see, as rows of `Aovs`."""
     loaded = tracer.loaded
     camera, fog = loaded.source.camera, loaded.source.fog
@@ -128,7 +133,8 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
     if camera.width_m > 0.0:  # each ray begins at a place of its own, in the plane of the lens
         eye = origin - ((origin - eye) @ forward)[:, None] * forward
 
-    distance, normal, instance = np.full(count, np.inf), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
+    distance, normal = np.full(count, np.inf), np.zeros((count, 3))
+    instance, part = np.zeros((2, count), dtype=np.int64)
     tau = np.zeros(count)
     surrounding = camera_fog(loaded.source) if loaded.boundaries else None
     medium = np.full(count, -1 if surrounding is None else surrounding)
@@ -157,7 +163,8 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
         rays = alive[stopped]
         distance[rays] = np.linalg.norm(hits.position[stopped] - eye[rays], axis=1)
         facing = np.where(np.sum(hits.normal * direction[alive], axis=1) > 0.0, -1.0, 1.0)
-        normal[rays], instance[rays] = (hits.normal * facing[:, None])[stopped], hits.instance_id[stopped]
+        normal[rays] = (hits.normal * facing[:, None])[stopped]
+        instance[rays], part[rays] = hits.instance_id[stopped], hits.part_id[stopped]
         alive = alive[~stopped]
 
     if fog and not loaded.boundaries:
@@ -165,7 +172,7 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
     depth = np.where(
         np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf
     )
-    return distance, depth, normal, instance, np.exp(-tau)
+    return distance, depth, normal, instance, part, np.exp(-tau)
 
 
 def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = silent) -> tuple[Indices, Indices]:
@@ -295,7 +302,8 @@ class _Tracer:
         for index, shape in loaded.boundaries.items():
             self.fog_of[self.rank[self.identity(shape)]] = index
         instances: dict[int, int] = {}
-        for key, instance in loaded.source.instance_of.items():
+        for key in loaded.source.instance_of:
+            instance = loaded.source.number_of(key)
             if len(key) == 1:
                 instances[self.rank[self.identity(loaded.shapes[key])]] = instance
             else:
@@ -348,7 +356,12 @@ class _Tracer:
         joined = self.first_face[rank] >= 0
         instance[joined] = self.face_instances[self.first_face[rank[joined]] + face[joined]]
         instance = np.where(self.label_of[row] >= 0, self.label_of[row], instance)
-        return Hits(valid, position, onward, normal, front, instance, self.fog_of[rank], see_through)
+        source, part = self.loaded.source, np.zeros_like(instance)
+        if source.parts:
+            part = np.maximum(instance - len(source.instances), 0)
+            owner = np.array([0, *(one.instance for one in source.parts)])
+            instance = np.where(part > 0, owner[part], instance)
+        return Hits(valid, position, onward, normal, front, instance, part, self.fog_of[rank], see_through)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi = self.mi
