@@ -147,6 +147,15 @@ def test_truncation_is_the_part_of_the_box_beyond_the_border():
     assert row["truncation"] == pytest.approx(0.25, abs=1e-3)
 
 
+def test_a_camera_tells_when_its_rows_expose():
+    """10 ms for a row, and 20 ms from the first to the last of 40 rows."""
+    camera = replace(scene({}, width_px=60, height_px=40).camera, shutter_s=0.03, rolling=2 / 3)
+    told = objects.Projection.of(camera).metadata((0.0, 0.0, 0.0))["shutter"]
+    assert told == {"first_row_s": 0.01, "row_time_s": 0.0005, "rows": "begin one after the other"}
+    told = objects.Projection.of(replace(camera, global_reset=True)).metadata((0.0, 0.0, 0.0))["shutter"]
+    assert told == {"first_row_s": 0.01, "row_time_s": 0.0005, "rows": "end one after the other"}
+
+
 def test_the_box_in_space_and_the_camera_are_what_opencv_takes():
     """Corners of the 3D box, by the pose and the camera's matrix through cv2.projectPoints, fall on the corners of the
     object itself; sizes are along the prim's own axes.

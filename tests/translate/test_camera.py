@@ -380,6 +380,7 @@ def test_a_rolling_shutter_is_open_until_the_last_row_ends(empty):
     stage.SetEndTimeCode(24)
     scene = translate(stage, frame=6)
     assert scene.camera.rolling == pytest.approx(0.75)
+    assert scene.camera.shutter_s == pytest.approx(1 / 24)
     np.testing.assert_allclose(scene.camera.drift_m, [0.0, 1 / 2.4, 0.0], atol=1e-6)
     np.testing.assert_allclose(scene.camera.to_world[:3, 3] + scene.origin_m, [0.0, 6.5 / 2.4, 1.5], atol=1e-6)
     readout.Set(0.0)
