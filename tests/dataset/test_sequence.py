@@ -21,6 +21,7 @@ from synfog_usd import camera
 from synfog_usd import stage as usd
 from synfog_usd.base import files, resources
 from synfog_usd.base.errors import OutputError, ParameterError
+from synfog_usd.base.image import Quantity
 from synfog_usd.base.seeds import frame_seed, seed32
 from synfog_usd.camera import writers
 from synfog_usd.camera.writers import video
@@ -264,11 +265,9 @@ def stage_of(tmp_path, text=MOVING):
     return tmp_path / "a.usda"
 
 
-@pytest.mark.slow
-def test_a_frame_of_a_clip_is_the_frame_alone(tmp_path):
-    """All of its light, noise and labels, though in the clip it was begun from the frame before."""
-    path = stage_of(tmp_path)
-    sf.bake(path, tmp_path / "clip", frames="0:3", **SMALL)
+def as_alone(path, tmp_path, frames):
+    """That frame 2 of a clip has all of the light, noise and labels of a bake of it alone; the clip's folder."""
+    sf.bake(path, tmp_path / "clip", frames=frames, **SMALL)
     sf.bake(path, tmp_path / "alone", frame=2, **{key: value for key, value in SMALL.items() if key != "adaptation"})
     one, other = tmp_path / "clip" / "000002", tmp_path / "alone"
     np.testing.assert_array_equal(*(tifffile.imread(next(folder.rglob("raw.dng"))) for folder in (one, other)))
@@ -279,6 +278,44 @@ def test_a_frame_of_a_clip_is_the_frame_alone(tmp_path):
             continue
         mine, theirs = (writers.read_exr(folder / name) for folder in (one, other))
         np.testing.assert_array_equal(mine.pixels, theirs.pixels)
+    return one.parent
+
+
+@pytest.mark.slow
+def test_a_frame_of_a_clip_is_the_frame_alone(tmp_path):
+    """Though in the clip it was begun from the frame before."""
+    as_alone(stage_of(tmp_path), tmp_path, "0:3")
+
+
+@pytest.mark.slow
+def test_cuts_teleports_and_what_comes_and_goes_are_as_the_stage_has_them(tmp_path):
+    """The camera is 5 km away in frame 2, beyond which a scene has another origin; the car jumps by 20 m, and the block
+    is to be seen in frame 0 alone.
+    """
+    text = (
+        MOVING.replace("{ 0: (0, 0, 1.5), 3: (0, 1, 1.5) }", "{ 0: (0, 0, 1.5), 1: (0, 0, 1.5), 2: (5000, 3, 1.5) }")
+        .replace("{ 0: (-2, 9, 1), 3: (1, 10, 1) }", "{ 0: (-2, 9, 1), 1: (3, 28, 1), 2: (5001, 14, 1) }")
+        .replace(
+            "double size = 1\n", 'double size = 1\ntoken visibility.timeSamples = { 0: "inherited", 1: "invisible" }\n'
+        )
+    )
+    clip = as_alone(stage_of(tmp_path, text), tmp_path, "0:2")
+    shown = []
+    for number in range(3):
+        rows = json.loads((clip / f"{number:06d}" / "labels.json").read_text())["instances"]
+        shown.append({row["path"]: row["distance_m"] for row in rows if row["pixels"]})
+    assert [("/World/Block" in paths, "/World/Car" in paths) for paths in shown] == [
+        (True, True),
+        (False, True),
+        (False, True),
+    ]
+    assert [round(paths["/World/Car"]) for paths in shown] == [8, 27, 10]
+    planes, near = (
+        writers.read_exr(clip / "000001" / name, quantity=Quantity.DATA) for name in ("flow.exr", "labels.exr")
+    )
+    near = np.isfinite(near.pixels[..., near.channels.index("depth.Z")])
+    assert np.isfinite(planes.pixels).all()
+    assert (planes.pixels[near][:, planes.channels.index("forward.seen")] < 1.0).all()
 
 
 @pytest.mark.slow
@@ -306,6 +343,11 @@ def test_a_clip_of_a_rig_is_a_clip_for_each_camera(tmp_path):
     assert [row["folder"] for row in listed] == ["Left", "Right"]
     found = [(one.camera, one.moment.frame) for one in pictures(tmp_path / "out")]
     assert found == [(f"/World/Rig/{eye}", number) for eye in ("Left", "Right") for number in (0, 1)]
+    for number in (0, 1):
+        image = writers.read_exr(tmp_path / "out" / "Left" / f"{number:06d}" / "labels.exr", quantity=Quantity.DATA)
+        depth, disparity = (image.pixels[..., image.channels.index(name)] for name in ("depth.Z", "disparity.X"))
+        told = json.loads((tmp_path / "out" / "Left" / f"{number:06d}" / "camera.json").read_text())
+        np.testing.assert_allclose(disparity, told["camera_matrix_px"][0][0] * 0.5 / depth, rtol=1e-5)
 
 
 @pytest.mark.slow
