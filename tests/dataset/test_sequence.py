@@ -310,12 +310,12 @@ def test_cuts_teleports_and_what_comes_and_goes_are_as_the_stage_has_them(tmp_pa
         (False, True),
     ]
     assert [round(paths["/World/Car"]) for paths in shown] == [8, 27, 10]
-    planes, near = (
-        writers.read_exr(clip / "000001" / name, quantity=Quantity.DATA) for name in ("flow.exr", "labels.exr")
-    )
-    near = np.isfinite(near.pixels[..., near.channels.index("depth.Z")])
-    assert np.isfinite(planes.pixels).all()
-    assert (planes.pixels[near][:, planes.channels.index("forward.seen")] < 1.0).all()
+    ids = {row["path"]: row["id"] for row in rows}
+    paths = clip / "000001" / "flow.exr", clip / "000001" / "labels.exr"
+    planes, labels = (writers.read_exr(path, quantity=Quantity.DATA) for path in paths)
+    ground = labels.pixels[..., labels.channels.index("instance.ID")] == ids["/World/Ground"]
+    assert ground.any() and np.isfinite(planes.pixels).all()
+    assert (planes.pixels[ground][:, planes.channels.index("forward.seen")] < 1.0).all()
 
 
 @pytest.mark.slow
