@@ -1,16 +1,14 @@
 """The rules of `check`: each finds its fault at the prim that has it, and is silent on the same stage without it."""
 
 import math
-from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 from support.looks import fill
 
-from synfog_usd.stage import check, reference
+from synfog_usd.stage import check
 from synfog_usd.stage.rules import SIZES_M
 
-ROOT = Path(__file__).resolve().parents[2]
 TYPES = Sdf.ValueTypeNames
 
 
@@ -174,9 +172,3 @@ def test_a_scaled_lamp_has_the_square_of_its_scale_in_light(sound, scale, bright
     lamp = fill(UsdLux.SphereLight.Define(stage, "/World/Lamp"), radius=1.0, intensity=2e7 / (4 * math.pi**2))
     lamp.AddScaleOp().Set((scale,) * 3)
     assert found(stage) == ({("light-bright", "/World/Lamp")} if bright else set())
-
-
-def test_the_page_of_the_rules_is_fresh():
-    """Made again by `python -m synfog_usd.stage.reference > docs/reference/check.md`."""
-    written = (ROOT / "docs/reference/check.md").read_text(encoding="utf-8")
-    assert written == reference.page(), "run: python -m synfog_usd.stage.reference > docs/reference/check.md"

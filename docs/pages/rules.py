@@ -1,7 +1,4 @@
-"""The rules of `check` as a page, made from the rules themselves.
-
-python -m synfog_usd.stage.reference > docs/reference/check.md
-"""
+"""The rules of `check` as a page, made from the rules themselves."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from synfog_usd.stage.rulebook import RULES, TOOLS
 HEAD = """\
 # Rules of check
 
-This page is made from the rules themselves: `python -m synfog_usd.stage.reference > docs/reference/check.md`.
+This page is made from the rules themselves: `python -m docs.pages`.
 [Checking a stage](../check.md) says what `check` does. The advice for Houdini and Omniverse follows their manuals; it was not tried there.
 """  # noqa: E501
 
@@ -23,7 +20,3 @@ def page() -> str:
         *([f"`{rule.name}`", rule.severity, rule.meaning, *rule.mend.values()] for rule in RULES.values()),
     ]
     return HEAD + "\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,22 +1,15 @@
-"""The language of recipes as a page and as a JSON Schema, made from the parameters themselves; and the page of lights.
+"""The language of recipes as a page and as a JSON Schema, made from the parameters themselves.
 
-    python -m synfog_usd.world.reference [FOLDER]
-
-writes `recipes.md`, `recipe.schema.json` and `lights.md` into a folder, docs/reference if left out.  The schema knows
-every key, name and range; it cannot see what one value asks of another (that low is below high, that
+The schema knows every key, name and range; it cannot see what one value asks of another (that low is below high, that
 arms find room): that is for `compose`.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from synfog_usd.base.files import write_bytes
-from synfog_usd.world import catalogue
 from synfog_usd.world.language import FOG, FOG_DEFAULT, SCHEMA, Categorical, Continuous, Parameter
 from synfog_usd.world.parameters import LANE, WORLDS, World, named
 from synfog_usd.world.roads.lane_section import DRIVEN, KINDS
@@ -25,7 +18,7 @@ HEAD = """\
 # Recipes
 
 Every parameter of every world. This page is made from the parameters themselves, and `recipe.schema.json` beside it, by
-which editors complete and underline: `python -m synfog_usd.world.reference`. How they are drawn stands in [worlds](../worlds.md).
+which editors complete and underline: `python -m docs.pages`. How they are drawn stands in [worlds](../worlds.md).
 
 - A number is fixed, `{uniform: [low, high]}`, `{normal: {mean, deviation, low, high}}` (cut at both ends) or `{by_hour: [[hour, value], ...]}`.
 - A whole number is fixed, `{integer: [low, high]}` with both ends, `{normal: ...}` or `{by_hour: ...}`, both rounded.
@@ -224,18 +217,8 @@ def _default(parameter: Parameter) -> str:
     return f"{parameter.default:g}" if isinstance(parameter, Continuous) else f"`{parameter.default}`"
 
 
-def files() -> dict[str, str]:
-    """Name -> content of the three files."""
+def text() -> str:
+    """The schema as a file has it: one definition a line."""
     whole = schema()
-    rows = [
-        f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in whole.pop("definitions").items()
-    ]  # one a line
-    text = json.dumps(whole, indent=1).removesuffix("\n}") + ',\n "definitions": {\n' + ",\n".join(rows) + "\n }\n}\n"
-    return {"recipes.md": page(), "lights.md": catalogue.page(), "recipe.schema.json": text}
-
-
-if __name__ == "__main__":
-    for name, text in files().items():
-        target = (Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/reference")) / name
-        write_bytes(target, text.encode("utf-8"))
-        print(target)
+    rows = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in whole.pop("definitions").items()]
+    return json.dumps(whole, indent=1).removesuffix("\n}") + ',\n "definitions": {\n' + ",\n".join(rows) + "\n }\n}\n"

@@ -1,7 +1,5 @@
 """The JSON Schema of a set's file, by which editors complete and underline.
 
-    python -m synfog_usd.dataset.sets.schema > docs/reference/set.schema.json
-
 It knows every key, the names that ship and what a value looks like; what one section asks of another is for
 `definition` to say.
 """
@@ -181,7 +179,3 @@ def _stems(folder: str, inside: str) -> list[str]:
 def text() -> str:
     """The schema as a file has it."""
     return json.dumps(schema(), indent=1) + "\n"
-
-
-if __name__ == "__main__":
-    print(text(), end="")

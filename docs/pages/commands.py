@@ -1,7 +1,4 @@
-"""The command-line reference as one page of Markdown, made from the commands themselves.
-
-`python -m synfog_usd.cli.reference > docs/reference/cli.md` makes the page again.
-"""
+"""The command-line reference as one page of Markdown, made from the commands themselves."""
 
 from __future__ import annotations
 
@@ -16,11 +13,11 @@ from synfog_usd.cli.main import app
 HEAD = """\
 # Command line
 
-Every command with its arguments and options. This page is made from the commands themselves: `python -m synfog_usd.cli.reference`.
+Every command with its arguments and options. This page is made from the commands themselves: `python -m docs.pages`.
 
 Exit codes: 0 done; 1 done, but something that was asked to be an error was found (`--strict`, a missed self-test);
 2 refused in one line that names place and fix; 130 ended by Ctrl-C. Anything else is a fault of ours.
-"""  # noqa: E501
+"""
 
 
 def page() -> str:
@@ -84,7 +81,3 @@ def _default(option: TyperOption) -> str:
 
 def _cell(text: str | None) -> str:
     return " ".join((text or "").split()).replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,7 +1,4 @@
-"""The page of what shines and reflects in drawn worlds: skies, lamps, spectra of surfaces, from their own tables.
-
-Gives Markdown; `python -m synfog_usd.world.reference` writes it to docs/reference/lights.md.
-"""
+"""The page of what shines and reflects in drawn worlds: skies, lamps, spectra of surfaces, from their own tables."""
 
 from __future__ import annotations
 
@@ -13,8 +10,8 @@ from synfog_usd.world import lamps, skies
 HEAD = """\
 # Skies, lamps and spectra
 
-This page is made from the library itself: `python -m synfog_usd.world.reference`. How they are used stands in [worlds](../worlds.md).
-"""  # noqa: E501
+This page is made from the library itself: `python -m docs.pages`. How they are used stands in [worlds](../worlds.md).
+"""
 
 
 def page() -> str:

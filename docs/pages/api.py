@@ -1,7 +1,4 @@
-"""The names of `import synfog_usd as sf` as one page of Markdown, made from their signatures and docstrings.
-
-`python -m synfog_usd.cli.api > docs/reference/api.md` makes the page again.
-"""
+"""The names of `import synfog_usd as sf` as one page of Markdown, made from their signatures and docstrings."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ HEAD = """\
 # Python
 
 `import synfog_usd as sf` offers these names. Libraries are imported when a name is used. This page is made from
-docstrings: `python -m synfog_usd.cli.api`.
+docstrings: `python -m docs.pages`.
 
 These functions do what the command does, and the same seed gives the same bytes. The options of the
 [command line](cli.md) are keywords, with `_` for `-`. Arrays are numpy's, row 0 at the top. What you can mend raises
@@ -135,7 +132,3 @@ def _cell(text: str) -> str:
 
 def _plain(text: str) -> str:
     return " ".join(text.split())
-
-
-if __name__ == "__main__":
-    print(page(), end="")
