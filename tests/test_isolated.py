@@ -82,7 +82,6 @@ VERBS = {
     "dataset gallery": ["set"],
     "dataset stats": ["set"],
     "benchmark detect": ["set", "-o", "found", "--model", "model.yaml"],
-    "study asm": ["set", "-o", "asm"],
 }
 """Every verb with words for a small piece of work in the folder of traps."""
 
@@ -93,8 +92,8 @@ QUICK = ("check", "bake", "benchmark defog")
 LONG_S = {"selftest": 15, "contact": 20}
 """Verbs that are ended after so many seconds: all is imported by then."""
 
-REFUSED = {"benchmark detect", "study asm"}
-"""Verbs that may find too little to do in so small a set; they end with a line."""
+REFUSED = {"benchmark detect"}
+"""May find too little to do in so small a set, and ends with a line."""
 
 
 def verbs(group, before=""):

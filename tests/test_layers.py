@@ -131,7 +131,7 @@ def test_help_imports_nothing_heavy():
     loaded = [set(line.split()[1:]) for line in child.stdout.splitlines() if line.startswith("LOADED ")]
     assert len(loaded) == 7
     ours = {name for name in loaded[-1] if name.split(".")[0] == "synfog_usd"}
-    line = {f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark", "study")}
+    line = {f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark")}
     assert ours == line | {
         f"synfog_usd{part}"
         for part in ("", ".base", ".base.errors", ".base.isolated", ".base.numbers", ".base.system", ".cli")

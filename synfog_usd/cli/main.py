@@ -15,7 +15,7 @@ import typer
 from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
 from synfog_usd.base.errors import ParameterError, SynfogError
-from synfog_usd.cli import benchmark, dataset, options, study, worker
+from synfog_usd.cli import benchmark, dataset, options, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
@@ -31,7 +31,6 @@ asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The l
 app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(benchmark.app, name="benchmark")
-app.add_typer(study.app, name="study")
 
 
 @app.callback(invoke_without_command=True)

@@ -122,7 +122,6 @@ Resolution = Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")]
 Graph = Annotated[Path, typer.Argument(help="YAML node graph, or the name of one that ships, as phone.")]
 SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
 Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
-Findings = Annotated[Path, typer.Option("--out", "-o", help="Folder for the findings.")]
 
 
 @dataclass(kw_only=True)

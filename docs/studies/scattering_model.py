@@ -13,11 +13,14 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+import typer
 from scipy import ndimage
 
+from docs.studies import command
 from synfog_usd import camera
 from synfog_usd.base import files, photometry
 from synfog_usd.base.arrays import Array
@@ -26,6 +29,7 @@ from synfog_usd.base.errors import ImageError, ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.seeds import stream
 from synfog_usd.camera.writers import read_exr
+from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.sets import index
 from synfog_usd.lab.benchmark import metrics, statistics
 from synfog_usd.lab.benchmark.statistics import Mean
@@ -487,3 +491,20 @@ def _cell(mean: Mean | None) -> str:
     if mean is None:
         return "-"
     return f"{mean.value:.2g}" + ("" if mean.low is None else f" ({mean.low:.2g} to {mean.high:.2g})")
+
+
+def main(
+    source: Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")],
+    out: command.Out,
+    limit: Annotated[int | None, typer.Option(min=1, help="At most so many shots, drawn from all.")] = None,
+) -> None:
+    """Map where the atmospheric scattering model errs by more than the sensor's noise."""
+    command.writable(out)
+    with shown(quiet=False) as (progress, _):
+        result = study(source, limit=limit, progress=progress)
+    write(result, out)
+    print(markdown(result))
+
+
+if __name__ == "__main__":
+    command.run(main)
