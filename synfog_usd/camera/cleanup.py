@@ -1,6 +1,6 @@
-"""Optional ops of the image signal processor: defects, noise, false colours, sharpness.
+"""Optional ops of the image signal processor: noise, false colours, sharpness.
 
-`isp.defects` and `isp.denoise` stand right behind `isp.black_level`, where the noise
+`isp.denoise` stands right behind `isp.black_level`, where the noise
 is as the sensor made it; `isp.false_colour` stands behind `isp.demosaic`, `isp.sharpen` behind `isp.gamma`.
 """
 
@@ -20,15 +20,6 @@ from synfog_usd.camera.isp import DISPLAY, PICTURE, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 
-RING = tuple((row, column) for row in (-2, 0, 2) for column in (-2, 0, 2) if row or column)
-"""Where the eight next pixels of the same filter are, in every pattern."""
-
-CROSS = ((-1, 0), (1, 0), (0, -1), (0, 1))
-"""The four next pixels, of any filter."""
-
-LAMP_SIGMA = 4.0
-"""From how many standard deviations on the light around a pixel says that it is no defect."""
-
 REACH_PX = (1, 2)
 """How far off the neighbours are among which `isp.false_colour` takes medians, one after the other."""
 
@@ -37,54 +28,6 @@ STRIP_PX = 96
 
 SPLINE = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 """Cubic B-spline: the smoothing step of the starlet transform."""
-
-
-@OPS.op("isp.defects", takes=SENSED, gives=SENSED)
-def defects(image: Image, *, threshold: Annotated[float, Range(3.0, 1000.0)] = 12.0) -> Image:
-    """Single hot and dead pixels become the median of their neighbours of the same filter.
-
-    A pixel is one where it lies beyond all eight neighbours by the threshold, and the
-    four pixels beside it do not lean the same way: a lens spreads a point of light
-    over more than one pixel, and a defect stays alone.  A lamp so faint or so sharp
-    that nothing of it shows beside its pixel is taken for a defect: at f/1.8 and 1.4 um
-    one of a single pixel stays from 200 standard deviations on.  Two defects within
-    reach of each other are left.
-
-    Args:
-        image: mosaic behind `isp.black_level`, before any other gain.
-        threshold: in standard deviations of the noise at the neighbours' level, from the
-            noise profile in the provenance [sigma].
-
-    The number of corrected pixels goes into the provenance.  A picture with fewer than
-    four rows or columns is left as it is.
-
-    Raises:
-        ImageError: more than one channel, or no noise profile.
-    """
-    shot, dark = _noise_profile(image)
-    if min(image.height_px, image.width_px) < 4:
-        return image.with_metadata(defects_corrected=0)
-    padded = _padded(image.pixels[..., 0])
-    middle = padded[1:-1, 1:-1]  # with two pixels around
-    beyond = np.zeros(image.pixels.shape[:2], dtype=bool)
-    for sign, extreme in ((1.0, np.maximum), (-1.0, np.minimum)):
-        line = extreme(middle[:, :-4], middle[:, 4:])
-        ring = extreme(line[2:-2], extreme(middle[:-4, 2:-2], middle[4:, 2:-2]))
-        ring = extreme(ring, extreme(line[:-4], line[4:]))
-        step = image.pixels[..., 0] - ring
-        step *= np.float32(sign)
-        beyond |= (step > 0.0) & (step * step > np.float32(threshold**2) * _variance(ring, shot, dark))
-    rows, columns = np.nonzero(beyond)
-    around = _medians(padded, rows, columns)
-    lean, spread = np.zeros(rows.size, dtype=np.float32), np.zeros(rows.size, dtype=np.float32)
-    for down, right in CROSS:
-        level = _medians(padded, rows + down, columns + right)
-        lean += padded[rows + down + 3, columns + right + 3] - level
-        spread += np.float32(1.2) * _variance(level, shot, dark)  # a median of eight adds a fifth
-    alone = lean * np.sign(image.pixels[rows, columns, 0] - around) < np.float32(LAMP_SIGMA) * np.sqrt(spread)
-    pixels = image.pixels.copy()
-    pixels[rows[alone], columns[alone], 0] = around[alone]
-    return image.with_pixels(pixels).with_metadata(defects_corrected=int(alone.sum()))
 
 
 @OPS.op("isp.denoise", takes=SENSED, gives=SENSED)
@@ -247,23 +190,6 @@ def _smoothed(plane: FloatArray, level: int) -> FloatArray:
     for axis in (0, 1):
         plane = convolve1d(plane, _dilated(level), axis=axis, mode="mirror")
     return plane
-
-
-def _padded(plane: FloatArray) -> FloatArray:
-    """(H + 6, W + 6): three pixels more on each side, those four further in: of the same filter, and no pixel its own
-    neighbour.
-    """
-    for axis in (0, 1):
-        size = plane.shape[axis]
-        plane = np.take(plane, [1, 2, 3, *range(size), size - 4, size - 3, size - 2], axis=axis)
-    return plane
-
-
-def _medians(padded: FloatArray, rows: np.ndarray, columns: np.ndarray) -> FloatArray:
-    """(N,) median of the eight neighbours of the same filter; `padded` has three pixels more on each side."""
-    return np.asarray(
-        np.median([padded[rows + down + 3, columns + right + 3] for down, right in RING], axis=0), dtype=np.float32
-    )
 
 
 def _variance(level: FloatArray, shot: float, dark: float) -> FloatArray:

@@ -12,7 +12,7 @@ from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.seeds import seed32
 from synfog_usd.camera import aberrations as aberration  # noqa: F401
-from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor, specimen  # noqa: F401  (their ops register themselves)
+from synfog_usd.camera import blur, cleanup, demosaic, distortion, flare, flicker, hdr, isp, optics, sensor  # noqa: F401  (their ops register themselves)
 from synfog_usd.camera import fisheye as fisheyes
 from synfog_usd.camera import focus as focused  # noqa: F401
 from synfog_usd.camera import ghosts as ghost  # noqa: F401

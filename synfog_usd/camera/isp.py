@@ -395,60 +395,6 @@ def tone_hdr(image: Image, *, range_ev: Annotated[float, Range(1.0, 24.0)] = 12.
     return image.with_pixels(image.pixels * factor)
 
 
-@OPS.op("isp.tone_local", takes=PICTURE, gives=PICTURE)
-def tone_local(
-    image: Image,
-    *,
-    compression: Annotated[float, Range(0.1, 1.0)] = 0.5,
-    detail: Annotated[float, Range(0.0, 4.0)] = 1.0,
-    radius_percent: Annotated[float, Range(0.1, 50.0)] = 4.0,
-    edge_ev: Annotated[float, Range(0.05, 8.0)] = 1.0,
-    key: Annotated[float, Range(0.01, 1.0)] = 0.18,
-) -> Image:
-    """Large differences of light are made smaller, small ones are kept: shadows and lamps in one picture.
-
-    log2 Y is split into a base, by a guided filter that keeps edges, and the detail over it;
-    log2 Y' = compression * (base - its mean) + detail * rest + log2 key.  Colours keep R : G : B;
-    one that would need more than 1 of a channel is darkened.
-
-    Args:
-        image: linear Rec.709 or Y.
-        compression: part of the base's range that stays, in stops [1]; 1 for all of it.
-        detail: how much of the detail stays [1].
-        radius_percent: of the filter, of the picture's width [%].
-        edge_ev: differences well above it are edges and stay out of the detail [EV].
-        key: where the base's mean goes [1].
-
-    Raises:
-        ImageError: the channels are not R, G, B or Y.
-
-    Source: base and detail: Durand and Dorsey, "Fast bilateral filtering for the display of high-dynamic-range
-    images" (2002); the filter: He, Sun and Tang, "Guided image filtering" (2013), the picture as its own guide.
-    """
-    _picture(image)
-    bright = np.maximum(luminance_of(image.pixels), np.float32(2.0**-20))
-    stops = np.log2(bright[..., 0])
-    base = _edges_kept(stops, max(1, round(radius_percent / 100.0 * image.width_px)), edge_ev)
-    log_gain = compression * (base - base.mean(dtype=np.float64)) + detail * (stops - base) + math.log2(key)
-    factor = np.exp2(log_gain - stops).astype(np.float32)[..., None]
-    top = image.pixels.max(axis=2, keepdims=True) * factor
-    return image.with_pixels(image.pixels * (factor / np.maximum(top, np.float32(1.0))))
-
-
-def _edges_kept(stops: FloatArray, radius_px: int, edge_ev: float) -> FloatArray:
-    """A smooth copy that keeps edges of more than `edge_ev`: the guided filter with the picture as its own guide."""
-    from scipy.ndimage import uniform_filter
-
-    def mean(values: Array) -> Array:
-        return np.asarray(uniform_filter(values, 2 * radius_px + 1, mode="nearest"))
-
-    picture = stops.astype(np.float64)
-    middle = mean(picture)
-    spread = np.maximum(mean(picture * picture) - middle * middle, 0.0)
-    slope = spread / (spread + edge_ev**2)
-    return mean(slope) * picture + mean((1.0 - slope) * middle)  # type: ignore[return-value]
-
-
 @OPS.op("isp.gamma", takes=PICTURE, gives=DISPLAY)
 def gamma(image: Image) -> Image:
     """Linear Rec.709, or Y, to sRGB, cut to 0 to 1.

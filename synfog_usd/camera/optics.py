@@ -28,32 +28,6 @@ Falloff = Literal["cos4", "foote", "table", "projection", "none"]
 Aperture = Literal["disc", "sine"]
 
 
-@OPS.op("light.mix", takes=Quantity.RADIANCE, gives=Quantity.RADIANCE)
-def mix(*images: Image, weights: Annotated[tuple[float, ...], Range(0.0)]) -> Image:
-    """Sum of pictures of the same view under several lights, each dimmed or brightened.
-
-    Light is additive: L = sum of w_i L_i.
-
-    Args:
-        images: radiance of one size and with the same channels.
-        weights: one per image [1], >= 0.
-
-    Raises:
-        ImageError: sizes, channels or counts differ.
-    """
-    first = images[0]
-    if len(weights) != len(images):
-        raise ImageError(f"{len(images)} images, but {len(weights)} weights")
-    for image in images[1:]:
-        if image.pixels.shape != first.pixels.shape or image.channels != first.channels:
-            raise ImageError(
-                f"an image of shape {image.pixels.shape} with {image.channels} cannot be added to one of "
-                f"{first.pixels.shape} with {first.channels}"
-            )
-    total = sum(np.float32(weight) * image.pixels for weight, image in zip(weights, images, strict=True))
-    return first.with_pixels(np.asarray(total))
-
-
 @OPS.op("optics.irradiance", takes=Quantity.RADIANCE, gives=Quantity.IRRADIANCE)
 def irradiance(
     image: Image,

@@ -225,41 +225,6 @@ def full_well(
     return image.with_pixels(held).with_metadata(full_well_e=full_well_e)
 
 
-@OPS.op("sensor.binning", takes=ELECTRONS, gives=ELECTRONS)
-def binning(image: Image, *, factor: Annotated[int, Range(2, 8)] = 2) -> Image:
-    """Neighbours behind filters of one colour become one pixel: the sum of their electrons.
-
-    Before read noise it is charge that is added on the chip, and read once; behind it numbers of read pixels are, so
-    that the noise of reading grows as the factor.  The mosaic keeps its pattern, at a pitch `factor` times as large.
-    A factor of 1 / factor^2 in `sensor.gain` brings full wells back into the converter's range.  Labels stay those of
-    the picture before.
-
-    Args:
-        image: electrons; rows and columns that are left over at the bottom and on the right are left out.
-        factor: n, of n x n pixels of each colour [1].
-
-    Raises:
-        ImageError: a picture smaller than one block.
-
-    Source: EMVA 1288 release 4.0, section 2 (a sum of Poisson numbers is one).
-    """
-    rows = cfa.PATTERNS[image.provenance["cfa_pattern"]] if "cfa_pattern" in image.provenance else ("C",)
-    down, across = len(rows), len(rows[0])
-    high, wide = image.height_px // (down * factor), image.width_px // (across * factor)
-    if not high or not wide:
-        raise ImageError(
-            f"a picture of {image.width_px} x {image.height_px} has no block of {factor} x {factor} pixels"
-        )
-    blocks = image.pixels[: high * factor * down, : wide * factor * across, 0].reshape(
-        high, factor, down, wide, factor, across
-    )
-    summed = blocks.sum(axis=(1, 4), dtype=np.float64).reshape(high * down, wide * across, 1).astype(np.float32)
-    grows = {"pixel_pitch_um": factor, "gathered_um2_s": factor**2, "dark_e": factor**2, "full_well_e": factor**2}
-    grows["read_noise_e"] = factor
-    scaled = {key: image.provenance[key] * times for key, times in grows.items() if key in image.provenance}
-    return image.with_pixels(summed).with_metadata(**scaled)
-
-
 @OPS.op("sensor.dsnu", takes=ELECTRONS, gives=READ_ELECTRONS)
 def dsnu(
     image: Image,
