@@ -292,9 +292,6 @@ def test_variables_that_name_code_are_not_handed_on(monkeypatch):
     assert not set(foreign) & set(os.environ)
 
 
-FORKS = {"multiprocessing", "pty", "ProcessPoolExecutor"}
-
-
 def begins(tree):
     """(line, what) of everything by which a module begins a Python or another program."""
     for node in ast.walk(tree):
