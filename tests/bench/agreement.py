@@ -2,16 +2,11 @@
 
     python tests/bench/agreement.py closed                    # two-stream, diffusion
     python tests/bench/agreement.py cycles --bpy BLENDER_ENV/bin/python -o out/agreement [--only crossroads]
-    python tests/bench/agreement.py fade --set out/set        # needs fade-python
 
 `cycles`: both draw the same triangles, matt colours, lamps, sky and fog (`cycles_scene.py`).  Regions are a twelfth
 of the picture.  Prints for each street the ratio of the whole means and the region that is farthest off, each with its
 standard error from seeds, and chi-square over the regions: 1 where noise alone parts the two.  Writes
 `agreement.csv`, a row a region, and `agreement.png`: ours, Cycles', and how far they are apart in blocks.
-
-`fade`: what FADE, which learned from real photographs how much fog people see, says of a set's pictures in each fog.
-Prints its mean, with the interval at 95 % over scenes, and in how many scenes each denser fog has more of it, with the
-lower end of Clopper and Pearson's interval of their share.
 """
 
 from __future__ import annotations
@@ -21,13 +16,11 @@ import csv
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from cycles_scene import export, from_stage
-from scipy import stats
 from streets import ROOT, STREETS, matt, scene_of
 
 from synfog_usd.fog import FogMedium
@@ -157,38 +150,9 @@ def closed() -> None:
             print(f"| {g:g} | {depth:g} | {row['ours']:.5f} | {others} |")
 
 
-def seen_by_fade(folder: Path, pipeline: str) -> None:
-    """A row a lighting of a set."""
-    from PIL import Image
-
-    from synfog_usd.dataset.sets.index import pictures
-    from synfog_usd.lab.benchmark.metrics import fade
-    from synfog_usd.lab.benchmark.statistics import mean
-
-    seen: dict[str, dict[float, dict[int, float]]] = {}  # lighting -> visibility, the best first -> scene
-    for one in pictures(folder):
-        if one.pipeline == pipeline:
-            picture = np.asarray(Image.open(one.files["srgb.png"]).convert("RGB"))
-            fogs = seen.setdefault(one.lighting, {})
-            fogs.setdefault(-(one.mor_m or np.inf), {})[one.scene] = fade(picture, picture)
-    for lighting, fogs in seen.items():
-        row = [fogs[mor] for mor in sorted(fogs)]
-        cells = [mean(list(each.values()), [str(scene) for scene in each]) for each in row]
-        fogs_text = ", ".join("clear" if np.isinf(mor) else f"MOR {-mor:g}" for mor in sorted(fogs))
-        print(f"{lighting}: {fogs_text}: " + ", ".join(f"{c.value:.2f} ({c.low:.2f} to {c.high:.2f})" for c in cells))
-        for (thin, dense), mor in zip(pairwise(row), sorted(fogs)[1:], strict=True):
-            both = thin.keys() & dense.keys()
-            more = sum(dense[scene] > thin[scene] for scene in both)
-            least = stats.binomtest(more, len(both)).proportion_ci().low
-            told = f"more than in the next thinner in {more} of {len(both)}, in at least {least:.0%} of scenes"
-            print(f"  MOR {-mor:g}: {told}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("verb", choices=("closed", "cycles", "fade"))
-    parser.add_argument("--set", type=Path, help="folder of a set")
-    parser.add_argument("--pipeline", default="synfog", help="whose pictures of the set")
+    parser.add_argument("verb", choices=("closed", "cycles"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
     parser.add_argument("--only", default="", help="part of the streets' names")
     parser.add_argument("--size", default="64x36")
@@ -198,9 +162,6 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.verb == "closed":
         closed()
-        return
-    if arguments.verb == "fade":
-        seen_by_fade(arguments.set, arguments.pipeline)
         return
     from synfog_usd.render import backend
 

@@ -237,20 +237,6 @@ def mean(values):
     return values[values > -1].mean() if (values > -1).any() else np.nan
 
 
-def test_scores_are_those_of_pycocotools(capfd):
-    """60 pictures by chance with ignored regions and three sizes: AP and AR of each size, to rounding."""
-    ranges = [EVERYTHING, (0.0, 32.0**2), (32.0**2, 96.0**2), (96.0**2, np.inf)]
-    true, found = some(60, 2)
-    matched = scored(true, found, 60, ranges)
-    theirs = by_pycocotools(true, found, 60, ranges)
-    for place, group in enumerate(matched):
-        ap = coco.precision(group, np.ones((1, 60)))[0].mean()
-        ar = coco.recall(group, np.ones((1, 60)))[0].mean()
-        np.testing.assert_allclose(ap, mean(theirs["precision"][:, :, :, place, -1]), rtol=1e-9)
-        np.testing.assert_allclose(ar, mean(theirs["recall"][:, :, place, -1]), rtol=1e-9)
-    assert 0.1 < coco.precision(matched[0], np.ones((1, 60)))[0].mean() < 0.9
-
-
 def test_a_picture_that_counts_twice_is_a_picture_that_is_there_twice(capfd):
     """Weights of 0, 1 and 2 against pycocotools on a set in which pictures are left out and repeated."""
     true, found = some(12, 3)

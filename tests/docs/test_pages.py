@@ -1,21 +1,14 @@
-"""The pages say what is there: links, images, paths, modules, commands with their options, make targets, imports, the
-table of rooms, limits, attributes and ops.
-"""
+"""The pages say what is there: links, images, paths, options and the table of rooms."""
 
 from __future__ import annotations
 
 import ast
 import fnmatch
 import re
-import shlex
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import typer
 from test_layers import BELOW
-
-from synfog_usd.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -56,12 +49,7 @@ STUDIES = {
 }
 """Options of the studies beside the package."""
 
-COMMAND = typer.main.get_command(app)
 everywhere = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-
-
-def blocks(text: str, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
 
 
 def spans(text: str) -> list[str]:
@@ -73,31 +61,6 @@ def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as GitHub makes them."""
     heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w -]", "", head.lower()).strip().replace(" ", "-") for head in heads}
-
-
-def commands(text: str) -> Iterator[list[str]]:
-    """The words of each `synfog-usd` command line, in blocks and within lines; comments and redirections cut off."""
-    lines = [line for block in (*blocks(text, "sh"), *blocks(text, "")) for line in block.splitlines()] + spans(text)
-    for line in lines:
-        if match := re.match(r"(?:\S*/)?synfog-usd (.*)", line.strip()):
-            yield re.split(r" [>|&]", " ".join(shlex.split(match[1], comments=True)))[0].split()
-
-
-def fault(words: list[str]) -> str | None:
-    """What is wrong with a command line, or None: a verb or an option that is not there."""
-    command = COMMAND
-    while words and hasattr(command, "commands"):
-        if words[0].startswith("-"):
-            break
-        if words[0] not in command.commands:
-            return f"no command {words[0]!r}"
-        command, words = command.commands[words[0]], words[1:]
-    known = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
-    for word in words:
-        option = word.strip("[],").split("=")[0]
-        if re.match(r"-{1,2}[a-z]", option) and option not in known | {"--help"}:
-            return f"no option {option!r}"
-    return None
 
 
 def exists(name: str) -> bool:
@@ -121,29 +84,13 @@ def test_links_lead_somewhere(page):
 
 
 @everywhere
-def test_commands_can_be_typed(page):
-    """Every command has the verbs and options with which the page calls it, and so has every option named alone."""
+def test_options_exist(page):
+    """Every option that a line names is there; whole commands are read by `test_blocks.py`."""
     text = page.read_text(encoding="utf-8")
-    wrong = {" ".join(words): why for words in commands(text) if (why := fault(words))}
-    assert not wrong
     known = set(re.findall(r"--[a-z][a-z-]+", (ROOT / "docs/reference/cli.md").read_text(encoding="utf-8")))
     builders = (ROOT / "assets/builders/__main__.py").read_text(encoding="utf-8")
     alone = {match[0] for span in spans(text) if (match := re.match(r"--[a-z][a-z-]+", span))}
     assert {option for option in alone - known - OF_OTHERS - STUDIES if f'"{option}"' not in builders} == set()
-
-
-@everywhere
-def test_make_targets_and_modules_exist(page):
-    """`make X` is a target, and `python -m X` a module of ours that can be run."""
-    text = page.read_text(encoding="utf-8")
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
-    lines = [line for block in blocks(text, "sh") for line in block.splitlines()] + spans(text)
-    assert {match[1] for line in lines if (match := re.match(r"make ([a-z-]+)", line))} <= targets
-    for module in {*re.findall(r"python -m ((?:synfog_usd|assets|docs)[\w.]*\w)", text)}:
-        path = ROOT / module.replace(".", "/")
-        file = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
-        assert file.exists(), module
-        assert path.is_dir() or "__main__" in file.read_text(encoding="utf-8"), f"{module} cannot be run"
 
 
 @everywhere

@@ -10,7 +10,6 @@ import functools
 import os
 import re
 import resource
-import struct
 import subprocess
 import sys
 import time
@@ -19,14 +18,11 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from pxr import Sdf
 from support import cli
 from support.hostile import TEXT, TYPES, VALUES, WORDS, furnish, parts_of, read, read_file, replaced, retyped, type_of
 
 from synfog_usd.base.errors import SynfogError
 from synfog_usd.camera import load_graph
-from synfog_usd.stage import open_stage
-from synfog_usd.stage.open import override, select
 
 TESTS = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join((str(TESTS), str(TESTS.parent)))}
@@ -145,22 +141,6 @@ def test_topology_that_makes_no_sense_is_left_out_or_refused(name):
         read(text)
 
 
-@pytest.mark.parametrize("old, new", [
-    ("float inputs:colorTemperature = 4000", "float inputs:colorTemperature = nan"),  # USD's conversion dies
-    ("float inputs:width = 1", "nothing inputs:width"),  # and so a type that USD does not know, asked for its default
-    ("float inputs:exposure = 1", "float inputs:exposure = 1e9"),
-    ("float inputs:angle = 0.53", "float inputs:angle = </Nowhere>"),  # the parser takes a path for any value
-    ("float inputs:length = 1", "float inputs:length = inf"),
-    ("double size = 2", "double size = 1e308"),
-    ("double height = 2", "double height = -1e13"),
-    ('token[] semantics:labels:cityscapes = ["pole"]', "custom nothing semantics:labels:cityscapes"),
-])  # fmt: skip
-def test_what_was_found(old, new):
-    """Damage that once took the process down or ended in a trace."""
-    assert old in TEXT
-    read(TEXT.replace(old, new))
-
-
 CRATE = """
 import sys
 from pathlib import Path
@@ -179,48 +159,6 @@ def crate(tmp_path_factory):
     folder = tmp_path_factory.mktemp("crate")
     subprocess.run([sys.executable, "-c", CRATE, str(folder)], check=True, env=ENVIRONMENT, timeout=60)
     return folder
-
-
-def broken(folder, text, old, new):
-    """A binary file of this text, in which the bytes of a pattern are others."""
-    path = folder / "broken.usdc"
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.ImportFromString(f"#usda 1.0\n{text}")
-    layer.Export(str(path))
-    whole = path.read_bytes()
-    changed = re.sub(old, new, whole, flags=re.DOTALL)
-    assert changed != whole and len(changed) == len(whole)
-    path.write_bytes(changed)
-    return path
-
-
-CHOICE = 'def "W" (\n    variantSets = "Fox"\n)\n{\n    variantSet "Fox" = {\n        "Quick" {}\n    }\n}\n'
-CUSTOM = 'def "W" (\n customData = {\n double a = 0.1\n }\n)\n{\n}\n'
-TENTH = struct.pack("<d", 0.1)
-"""A number; in a file six bytes and the number of its type follow (crateDataTypes.h: 9 is a double)."""
-
-
-@pytest.mark.parametrize("text, old, new, words", [
-    ('def "W" (\n prepend apiSchemas = ["QuickFoxAPI"]\n)\n{\n}\n', b"QuickFox", b"Quick\x80ox", "in it is not UTF-8"),
-    ('def "QuickFox"\n{\n def Cube "Box"\n {\n }\n}\n', b"QuickFox", b"Quick\xdcox", "cannot be read as USD"),
-    (CHOICE, b"\0Fox\0", b"\0Box\0", "named and not there; the file is damaged"),
-    ('def "W" (\n noLoadHint = true\n)\n{\n}\n', b"noLoadHint", b"apiSchemas", "the apiSchemas of /W are no list"),
-    (CUSTOM, re.escape(TENTH) + b"(.{6})\x09", TENTH + b"\\g<1>\x00", "unsupported type enum value 0"),
-])  # fmt: skip
-def test_damage_of_binary_files_that_was_found_is_one_line(tmp_path, capfd, text, old, new, words):
-    """By the test below: names that are no UTF-8, names and values of no type, which ended the process or warned."""
-    with pytest.raises(SynfogError, match=words) as caught:
-        open_stage(broken(tmp_path, text, old, new))
-    assert "\n" not in str(caught.value) and capfd.readouterr() == ("", "")
-
-
-def test_a_variant_whose_name_can_not_be_chosen_is_told(tmp_path):
-    """USD takes names of binary files as they come, but not in a choice, which the test below found."""
-    stage = open_stage(broken(tmp_path, CHOICE.replace("Fox", "lighting"), b"Quick", b"Qu~ck"))
-    with pytest.raises(SynfogError, match="is not a valid variant name"):
-        select(stage, lighting="Qu~ck")
-    with pytest.raises(SynfogError, match="is not a valid variant name"):
-        override(stage, choices=["/W:lighting=Qu~ck"])
 
 
 @pytest.mark.slow

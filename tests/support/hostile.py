@@ -404,15 +404,16 @@ def retyped(number, kind):
     return TEXT[: match.start()] + f"    custom {kind} {name}{value}" + TEXT[match.end() :]
 
 
-def png(width, height, data=None, *, bits=8):
-    """A PNG whose header says what it likes."""
+def png(width, height, data=None, *, bits=8, packed=None):
+    """A PNG whose header says what it likes; its data may be packed already."""
 
     def chunk(kind, content):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
-    rows = zlib.compress((b"\0" + bytes(3 * width * bits // 8)) * height if data is None else data)
+    if packed is None:
+        packed = zlib.compress((b"\0" + bytes(3 * width * bits // 8)) * height if data is None else data)
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
 
 
 IES = """IESNA:LM-63-2002

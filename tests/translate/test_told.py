@@ -1,4 +1,4 @@
-"""Numbers that make no sense: each is told with its prim and what is taken instead."""
+"""Words and sizes that make no sense: each is told with its prim and what is taken instead."""
 
 import re
 
@@ -18,37 +18,6 @@ PLATE = """def Mesh "Plate"
     point3f[] points = [(0, 0, -5), (1, 0, -5), (1, 1, -5), (0, 1, -5)]
     uniform token subdivisionScheme = "catmullClark"
 """
-
-
-def creased(indices, length):
-    sharp = f"int[] creaseLengths = [{length}]\n    float[] creaseSharpnesses = [2]"
-    return f"{PLATE}    int[] creaseIndices = {indices}\n    {sharp}\n}}\n"
-
-
-BALL = 'def SphereLight "L"\n{{\n    float inputs:{0}\n    float inputs:{1}\n}}\n'
-MOVED = "double3 xformOp:translate = (0, 0, -5)"
-
-
-@pytest.mark.parametrize("camera, prims, path, told", [
-    ("float fStop = -2", "", "/Ego", "fStop is -2, which is no f-number; the lens is drawn as a pinhole"),
-    ("float2 clippingRange = (nan, 100)", "", "/Ego", "clippingRange begins at nan, which is no distance; 0.01 m"),
-    ("", BALL.format("radius = 1", "shaping:cone:angle = nan"), "/L", "shaping:cone:angle is nan, which is no number"),
-    ("", BALL.format("shaping:cone:angle = 30", "shaping:cone:softness = 7"), "/L", "shaping:cone:softness is 7, "),
-    ("", BALL.format("radius = 1", "intensity = -5"), "/L", "negative light is not drawn"),
-    ("", f'def Cube "C"\n{{\n    {MOVED}\n}}\n', "/C", "has xformOps and no xformOpOrder, without which"),
-    ("", 'def DomeLight "L"\n{\n    asset inputs:texture:file = @./sky.tex@\n}\n', "/L", "texture ./sky.tex cannot be"),
-    ("", creased([0, 99], 2), "/Plate", "1 edges of its creases name points outside of its 4; they are left"),
-    ("", creased([0, 1], 5), "/Plate", "its creases' indices, lengths and sharpnesses do not fit each other"),
-    ("", creased([1, 0, 2], 3), "/Plate", "1 edges of its creases are no edges of its faces; they are left out"),
-    ("", PLATE + "    int[] holeIndices = [-1, 7]\n}\n", "/Plate", "2 of its 2 holes name no face of its 1"),
-])  # fmt: skip
-def test_what_makes_no_sense_is_told_with_what_is_taken(tmp_path, camera, prims, path, told):
-    (tmp_path / "sky.tex").write_bytes(b"no picture")
-    (tmp_path / "a.usda").write_text(HEAD + f'def Camera "Ego"\n{{\n    {camera}\n}}\n' + prims)
-    scene = translate(open_stage(tmp_path / "a.usda"))
-    warned = [note.text for note in scene.notes if note.path == path and note.severity == "warning"]
-    assert sum(text.startswith(told) for text in warned) == 1
-    assert scene.camera.near_m > 0.0 and scene.camera.f_number == 0.0
 
 
 CUBE = 'def Cube "Box"\n{\n    double size = 2\n}\n'
