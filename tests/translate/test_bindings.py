@@ -237,22 +237,6 @@ def test_a_constant_is_read_into_any_input(empty, square, name, kind, value, key
     assert scene.world[scene.world["shape_1"]["bsdf"]["id"]]["bsdf"].get(key) != wanted
 
 
-def test_a_constant_is_read_into_emission_and_opacity(empty, square, only_shape):
-    stage = empty()
-    material = reading(stage, "UsdPrimvarReader_float3", "glow")
-    reads_too(stage, "emissiveColor", UsdShade.Shader(stage.GetPrimAtPath("/Reading/Reader")).GetOutput("result"))
-    alpha = shade(stage, "/Reading/Alpha", "UsdPrimvarReader_float", "result", TYPES.Float, varname="primvars:alpha")
-    reads_too(stage, "opacity", alpha)
-    prim = square(stage, "/Mesh")
-    prim.CreateAttribute("primvars:glow", TYPES.Color3f, custom=True).Set((10, 20, 30))
-    prim.CreateAttribute("primvars:alpha", TYPES.Float, custom=True).Set(0.5)
-    bind(prim, material)
-    scene = translate(stage)
-    shape = only_shape(scene)
-    assert shape["emitter"]["radiance"]["value"] == [10, 20, 30]
-    assert scene.world[shape["bsdf"]["id"]]["opacity"] == 0.5
-
-
 def test_a_constant_that_moves_is_that_of_the_frame(empty, square, only_shape):
     stage = empty()
     above = UsdGeom.Xform.Define(stage, "/A").GetPrim()
@@ -398,46 +382,6 @@ def test_what_is_double_sided_shines_from_both(empty, polygon_mesh, points, indi
             ways.append(np.cross(b - a, c - a).sum(axis=0) / 2)
         np.testing.assert_allclose(ways, [[0, -4, 0], [0, 4, 0]], atol=1e-6)
         assert lit[1]["positions"][:, 1].min() > lit[0]["positions"][:, 1].max()
-
-
-@pytest.mark.parametrize("primvar, kind, node, wanted", [
-    ("Float", 0.5, {"base": "Reader"}, {"base_color": [0.1, 0.4, 0.2]}),
-    ("Color3f", (0.5, 0.25, 1.0), {"base_color": "Half"}, {"base_color": [0.25, 0.125, 0.5]}),
-    ("Float", 0.5, {"metalness": "Half"}, {"metallic": 0.25}),
-    ("Float", 1.25, {"specular_IOR": "Reader"}, {"eta": 1.25}),
-    ("Float", 2.5, {"specular_IOR": "Half"}, {"eta": 1.25}),
-])  # fmt: skip
-def test_a_constant_goes_through_nodes_and_into_weights(empty, square, only_shape, primvar, kind, node, wanted):
-    """MaterialX's Standard Surface: base_color times base; the node halves what it gets."""
-    stage = empty()
-    surface = standard_surface(stage, base_color=(0.2, 0.8, 0.4))
-    reads(stage, surface, primvar, node)
-    prim = square(stage, "/Mesh")
-    prim.CreateAttribute("primvars:x", getattr(TYPES, primvar), custom=True).Set(kind)
-    bind(prim, UsdShade.Material(stage.GetPrimAtPath("/Look")))
-    scene = translate(stage)
-    bsdf = scene.world[only_shape(scene)["bsdf"]["id"]]["bsdf"]
-    for name, value in wanted.items():
-        np.testing.assert_allclose(bsdf[name]["value"] if name == "base_color" else bsdf[name], value, rtol=1e-6)
-    assert [note.text for note in scene.notes if note.severity == "warning"] == []
-
-
-def standard_surface(stage, **constants):
-    """A MaterialX Standard Surface /Look."""
-    made = shade(stage, "/Look/Surface", "ND_standard_surface_surfaceshader", **constants)
-    UsdShade.Material.Define(stage, "/Look").CreateSurfaceOutput("mtlx").ConnectToSource(made)
-    return UsdShade.Shader(made.GetPrim())
-
-
-def reads(stage, surface, kind, inputs, name="x"):
-    """Inputs of a surface, each fed by a reader of a primvar or by a half of it."""
-    word, value = ("float", TYPES.Float) if kind == "Float" else ("color3", getattr(TYPES, kind))
-    reader = shade(stage, f"/Look/Reader_{name}", f"ND_geompropvalue_{word}", gives=value, geomprop=name)
-    multiply = "ND_multiply_float" if word == "float" else "ND_multiply_color3FA"
-    half = shade(stage, f"/Look/Half_{name}", multiply, gives=value, in1=reader, in2=0.5)
-    outputs = {"Reader": reader, "Half": half}
-    for one, node in inputs.items():
-        surface.CreateInput(one, value).ConnectToSource(outputs[node])
 
 
 def test_values_of_more_instances_than_are_drawn_apart_are_rounded():

@@ -91,98 +91,66 @@ def varying(name, kind, first, interpolation, rest="(0.5, 0.5, 0.5)"):
 
 
 def shapes(bad):
-    """What stands on shapes: name -> (text, path of the prim that is told)."""
+    """(text, path of the prim that is told) of each number that stands on shapes."""
     colour = f"({bad}, 0.5, 0.5)"
-    yield "points", mesh("").replace("(-150, 0, -150)", f"({bad}, 0, -150)"), "/C"
-    yield "normals", mesh(varying("normals", "normal3f", f"({bad}, -1, 0)", "vertex", "(0, -1, 0)")), "/C"
-    for interpolation in ("vertex", "faceVarying", "varying"):
-        for scheme in ("none", "catmullClark"):
-            text = mesh(varying("primvars:displayColor", "color3f", colour, interpolation), scheme=scheme)
-            yield f"color-{interpolation}-{scheme}", text, "/C"
-    for interpolation in ("uniform", "constant"):
-        text = mesh(varying("primvars:displayColor", "color3f", colour, interpolation))
-        yield f"color-{interpolation}", text, "/C"
-    yield "color-cone", f'def Cone "G"\n{{\n    color3f[] primvars:displayColor = [{colour}]\n}}\n', "/G"
-    yield "opacity", mesh(varying("primvars:displayOpacity", "float", bad, "vertex", "1")), "/C"
+    yield mesh("").replace("(-150, 0, -150)", f"({bad}, 0, -150)"), "/C"
+    lines = [varying("normals", "normal3f", f"({bad}, -1, 0)", "vertex", "(0, -1, 0)")]
+    lines += [varying("primvars:displayOpacity", "float", bad, "vertex", "1")]
+    lines += [varying("primvars:displayColor", "color3f", colour, how) for how in ("uniform", "constant")]
+    moves = {"double3 xformOp:translate": f"(0, {bad}, 0)", "float3 xformOp:scale": f"(1, {bad}, 1)"}
+    moves |= {"float3 xformOp:rotateXYZ": f"(0, {bad}, 0)", "quatf xformOp:orient": f"({bad}, 0, 0, 0)"}
+    moves["matrix4d xformOp:transform"] = f"(({bad},0,0,0),(0,1,0,0),(0,0,1,0),(0,0,0,1))"
+    lines += [f"{op} = {value}\n{MOVED.format(op=op.partition(':')[2])}" for op, value in moves.items()]
+    yield from ((mesh(line), "/C") for line in lines)
     for scheme in ("none", "catmullClark"):
+        for how in ("vertex", "faceVarying", "varying"):
+            yield mesh(varying("primvars:displayColor", "color3f", colour, how), scheme=scheme), "/C"
         line = BOUND + varying("primvars:st", "texCoord2f", f"({bad}, 0)", "faceVarying", "(1, 1)")
-        yield f"uv-{scheme}", mesh(line, scheme=scheme, more=PAINT % (PICTURE, "", "")), "/C"
-    for op, kind, value in (
-        ("translate", "double3", f"(0, {bad}, 0)"),
-        ("scale", "float3", f"(1, {bad}, 1)"),
-        ("rotateXYZ", "float3", f"(0, {bad}, 0)"),
-        ("orient", "quatf", f"({bad}, 0, 0, 0)"),
-        ("transform", "matrix4d", f"(({bad},0,0,0),(0,1,0,0),(0,0,1,0),(0,0,0,1))"),
-    ):
-        yield op, mesh(f"{kind} xformOp:{op} = {value}\n{MOVED.format(op=op)}"), "/C"
-    for kind, size in (
-        ("Sphere", "radius"),
-        ("Cube", "size"),
-        ("Cylinder", "height"),
-        ("Cone", "radius"),
-        ("Capsule", "radius"),
-        ("Plane", "width"),
-    ):
-        yield kind, f'def {kind} "G"\n{{\n    double {size} = {bad}\n}}\n', "/G"
-    curve = (
-        'def BasisCurves "G"\n{{\n    uniform token type = "linear"\n    int[] curveVertexCounts = [2]\n'
-        '    point3f[] points = [({0}, 0, 0), (100, 0, 0)]\n    float[] widths = [{1}, 9] (interpolation = "vertex")\n'
-        "    {2}\n}}\n"
-    )
+        yield mesh(line, scheme=scheme, more=PAINT % (PICTURE, "", "")), "/C"
+    sizes = "Sphere radius, Cube size, Cylinder height, Cone radius, Capsule radius, Plane width"
+    for kind, size in map(str.split, sizes.split(", ")):
+        yield f'def {kind} "G"\n{{\n    double {size} = {bad}\n}}\n', "/G"
+    yield f'def Cone "G"\n{{\n    color3f[] primvars:displayColor = [{colour}]\n}}\n', "/G"
     tint = f'color3f[] primvars:displayColor = [({bad}, 1, 1), (1, 1, 1)] (interpolation = "vertex")'
     facing = f'normal3f[] normals = [({bad}, 1, 0), (0, 1, 0)] (interpolation = "vertex")'
-    for name, given in (
-        ("points", (bad, 9, "")),
-        ("widths", (0, bad, "")),
-        ("color", (0, 9, tint)),
-        ("normals", (0, 9, facing)),
-    ):
-        yield f"curve-{name}", curve.format(*given), "/G"
-    dots = (
-        'def Points "G"\n{{\n    point3f[] points = [({0}, 0, 0), (100, 0, 0)]\n'
-        "    float[] widths = [{1}, 9]\n    {2}\n}}\n"
-    )
-    for name, given in (("points", (bad, 9, "")), ("widths", (0, bad, "")), ("color", (0, 9, tint))):
-        yield f"points-{name}", dots.format(*given), "/G"
+    two = "    point3f[] points = [({0}, 0, 0), (100, 0, 0)]\n    float[] widths = [{1}, 9]%s\n    {2}\n}}\n"
+    line = 'def BasisCurves "G"\n{{\n    uniform token type = "linear"\n    int[] curveVertexCounts = [2]\n'
+    for given in ((bad, 9, ""), (0, bad, ""), (0, 9, tint), (0, 9, facing)):
+        yield (line + two % ' (interpolation = "vertex")').format(*given), "/G"
+    for given in ((bad, 9, ""), (0, bad, ""), (0, 9, tint)):
+        yield ('def Points "G"\n{{\n' + two % "").format(*given), "/G"
     scattered = (
         'def PointInstancer "G"\n{{\n    point3f[] positions = [({0}, 0, 0), (100, 0, 0)]\n'
         '    int[] protoIndices = [0, 0]\n    {1}\n    rel prototypes = </G/P>\n    def Cube "P"\n    {{\n    }}\n}}\n'
     )
-    yield "instancer-positions", scattered.format(bad, ""), "/G[0]"
-    yield "instancer-scales", scattered.format(0, f"float3[] scales = [({bad}, 1, 1), (1, 1, 1)]"), "/G[0]"
+    yield scattered.format(bad, ""), "/G[0]"
+    yield scattered.format(0, f"float3[] scales = [({bad}, 1, 1), (1, 1, 1)]"), "/G[0]"
 
 
 def materials(bad):
     for name in ("diffuseColor", "emissiveColor", "specularColor"):
         workflow = "int inputs:useSpecularWorkflow = 1\n" if name == "specularColor" else ""
-        yield name, painted(f"{workflow}color3f inputs:{name} = ({bad}, 0.5, 0.5)"), "/M/S"
-    for name in ("roughness", "metallic", "ior", "opacity", "opacityThreshold", "clearcoat", "clearcoatRoughness"):
-        yield name, painted(f"float inputs:{name} = {bad}"), "/M/S"
+        yield painted(f"{workflow}color3f inputs:{name} = ({bad}, 0.5, 0.5)"), "/M/S"
+    for name in ["roughness", "metallic", "ior", "opacity", "opacityThreshold", "clearcoat", "clearcoatRoughness"]:
+        yield painted(f"float inputs:{name} = {bad}"), "/M/S"
     for name in ("scale", "bias", "fallback"):
-        yield f"picture-{name}", painted(PICTURE, f"float4 inputs:{name} = ({bad}, 1, 1, 1)"), "/M/T"
-    yield "turn-rotation", painted(PICTURE, "", f"float inputs:rotation = {bad}"), "/M/X"
-    yield "turn-scale", painted(PICTURE, "", f"float2 inputs:scale = ({bad}, 1)"), "/M/X"
+        yield painted(PICTURE, f"float4 inputs:{name} = ({bad}, 1, 1, 1)"), "/M/T"
+    yield painted(PICTURE, "", f"float inputs:rotation = {bad}"), "/M/X"
+    yield painted(PICTURE, "", f"float2 inputs:scale = ({bad}, 1)"), "/M/X"
 
 
 def lights(bad):
-    for kind, names in (
-        ("SphereLight", ("radius", "exposure")),
-        ("RectLight", ("width", "height")),
-        ("DiskLight", ("radius",)),
-        ("CylinderLight", ("length", "radius")),
-        ("DistantLight", ("angle",)),
-        ("DomeLight", ("exposure",)),
-    ):
+    every = "SphereLight radius exposure, RectLight width height, DiskLight radius, CylinderLight length radius"
+    for kind, *names in map(str.split, f"{every}, DistantLight angle, DomeLight exposure".split(", ")):
         lines = [f"float inputs:{name} = {bad}" for name in ("intensity", *names)]
         lines += [
             f"color3f inputs:color = ({bad}, 1, 1)",
             f"bool inputs:enableColorTemperature = 1\n    float inputs:colorTemperature = {bad}",
             f"double3 xformOp:translate = ({bad}, 0, 0)\n    {MOVED.format(op='translate')}",
         ]
-        for line in lines:
-            yield f"{kind} {line}", f'def {kind} "L"\n{{\n    {line}\n}}\n', "/L"
+        yield from ((f'def {kind} "L"\n{{\n    {line}\n}}\n', "/L") for line in lines)
     glowing = mesh(f"float inputs:intensity = {bad}").replace('API"]', 'API", "MeshLightAPI"]', 1)
-    yield "mesh light", glowing, "/C"
+    yield glowing, "/C"
 
 
 CAMERAS = [
@@ -236,8 +204,8 @@ def numbered(n, text, path):
 @pytest.mark.parametrize("bad", ["nan", "inf", "-inf"])
 def test_a_number_that_is_none_is_told_of_its_prim_and_reaches_no_renderer(written, tmp_path, bad):
     """In every place of shapes, materials and lights; a bake of what check lets through ends well."""
-    cases = [numbered(n, text, path) for n, (_, text, path) in enumerate((*shapes(bad), *materials(bad)))]
-    lit = [numbered(n, text, path) for n, (_, text, path) in enumerate(lights(bad), start=1000)]
+    cases = [numbered(n, text, path) for n, (text, path) in enumerate((*shapes(bad), *materials(bad)))]
+    lit = [numbered(n, text, path) for n, (text, path) in enumerate(lights(bad), start=1000)]
     for some in (cases, *(lit[k : k + 7] for k in range(0, len(lit), 7))):  # many alike are one note
         file = written("".join(text for text, _ in some))
         scene = translate(open_stage(file), resolution=(16, 8))

@@ -26,10 +26,6 @@ INPUTS = {
     "Tint": "varname fallback",
     "Rough": "varname fallback",
 }
-OTHERS = {
-    "ND_standard_surface_surfaceshader": "base base_color emission emission_color opacity coat_color",
-    "ND_gltf_pbr_surfaceshader": "alpha_mode alpha emissive normal thickness attenuation_color",
-}
 
 
 @pytest.fixture
@@ -136,19 +132,6 @@ def test_an_input_of_any_connection_is_drawn(painted, shader):
         connection = target.format(m=f"/M{k}", s=shader, n=name)
         write(stage, f"/M{k}/{shader}", name, TYPES.Float3, value=Gf.Vec3f(0.5), connection=connection)
     drawn_all(stage, len(cases))
-
-
-@pytest.mark.parametrize("shader", OTHERS)
-def test_inputs_of_other_shaders_refuse_nothing(painted, shader):
-    """They may be drawn as displayColor, with a note."""
-    names = OTHERS[shader].split()
-    cases = [(name, kind, value) for name in names for kind in ALL_TYPES for value in values_of(kind)]
-    stage = painted(len(cases))
-    for k, (name, kind, value) in enumerate(cases):
-        UsdShade.Shader(stage.GetPrimAtPath(f"/M{k}/Surface")).GetIdAttr().Set(shader)
-        write(stage, f"/M{k}/Surface", name, kind, value=value)
-    scene = translate(stage)
-    assert len([key for key in scene.world if key.startswith("shape_")]) == len(cases)
 
 
 @pytest.mark.parametrize("shader, name, kind, value, path, wanted", [
