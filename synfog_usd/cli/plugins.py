@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import zipfile
 from pathlib import Path
@@ -24,12 +23,8 @@ def advice() -> str:
 The schema SynFogMediumAPI is codeless: a program that knows its folder shows the fog attributes with their
 defaults and documentation. Without it files keep their fog all the same.
 
-usdcat and other USD tools, and Omniverse (Kit), before they start:
+usdview, usdcat and other USD tools, and Omniverse (Kit), before they start:
   {_setting("PXR_PLUGINPATH_NAME", SCHEMA)}
-
-usdview, which then has a menu "Synfog" too (bake or preview this camera, show boxes of fog):
-  {_setting("PXR_PLUGINPATH_NAME", SCHEMA, tools / "usdview")}
-  {_setting("PYTHONPATH", tools / "usdview")}
 
 Houdini, a line in houdini.env:
   PXR_PLUGINPATH_NAME = "{SCHEMA};&"
@@ -45,14 +40,13 @@ OpenVDB volumes of any of them become fog by way of
   blender --background --python {tools / "vdb2npz.py"} -- FILE.vdb"""
 
 
-def _setting(name: str, *folders: Path) -> str:
-    """The line by which this system's shell puts folders before those that a variable names; without an empty entry
+def _setting(name: str, folder: Path) -> str:
+    """The line by which this system's shell puts a folder before those that a variable names; without an empty entry
     where it names none, since that is the current folder.
     """
-    joined = os.pathsep.join(map(str, folders))
     if sys.platform == "win32":
-        return f'if defined {name} (set "{name}={joined};%{name}%") else (set "{name}={joined}")'
-    return f'export {name}="{joined}${{{name}:+:${name}}}"'
+        return f'if defined {name} (set "{name}={folder};%{name}%") else (set "{name}={folder}")'
+    return f'export {name}="{folder}${{{name}:+:${name}}}"'
 
 
 def pack_extension(path: Path) -> None:
