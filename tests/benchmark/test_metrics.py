@@ -81,16 +81,6 @@ def test_flip_is_the_reference_implementations_mean_and_knows_which_is_the_truth
     assert metrics.flip(white, black) > 0.95
 
 
-def test_fade_sees_more_fog_in_thicker_fog():
-    """Koschmieder's law over a picture with structure; FADE's own statistics are of real photographs."""
-    pytest.importorskip("pyfade")
-    rng = seeds.stream(8, "fade")
-    clear = np.repeat(np.repeat(rng.integers(0, 200, (16, 24, 3)), 8, 0), 8, 1) + rng.integers(0, 30, (128, 192, 3))
-    foggy = [(clear * t + 220 * (1 - t)).astype(np.uint8) for t in (1.0, 0.7, 0.4, 0.2)]
-    seen = [metrics.fade(picture, foggy[0]) for picture in foggy]
-    assert np.all(np.diff(seen) > 0) and seen[-1] > 3 * seen[0], seen
-
-
 def test_another_size_is_refused():
     with pytest.raises(ParameterError, match="64 x 48 cannot be compared with one of 64 x 47"):
         metrics.measure(pictures()[0], pictures()[1][:47])

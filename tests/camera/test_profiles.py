@@ -44,25 +44,7 @@ FAULTS = [
         "^{value: 6000}",
         "full_well_e has no source; write {value: ..., source: ...}",
     ),
-    (
-        "{value: 6000,   source: isetcam}",
-        "{value: 6000, source: ^isetcm}",
-        "full_well_e has source 'isetcm', which is not under 'sources' "
-        "(isetcam, isetcam_gain, noise_split, borrowed_qe, estimate_dark, phone_program, pictures). Did you mean "
-        "'isetcam'?",
-    ),
     ("full_well_e: ", "^ful_well_e: ", "a profile has no 'ful_well_e'; it takes synfog, name,"),
-    (
-        "camera: Nikon 5100 (NPL)",
-        "camera: ^Nikon 5200",
-        "camera 'Nikon 5200' is not known; it can be Nikon 5100 (NPL), Sigma SDMerill (NPL). Did you mean 'Nikon 5100 "
-        "(NPL)'?",
-    ),
-    (
-        "cfa: RGGB",
-        "cfa: ^RGBG",
-        "cfa is 'RGBG'; it can be RGGB, GRBG, GBRG, BGGR, RCCB, RCCC, RGIB, MONO. Did you mean 'RGIB'?",
-    ),
     (
         "camera: Nikon 5100 (NPL), peak: 0.6",
         "product: {sensor: {flat: 0.5}, filters: ^{R: {flat: 1}}}",

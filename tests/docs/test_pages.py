@@ -1,4 +1,4 @@
-"""The pages say what is there: links, images, paths, options and the table of rooms."""
+"""The pages say what is there: links, images, paths and options."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import re
 from pathlib import Path
 
 import pytest
-from test_layers import BELOW
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -104,22 +103,3 @@ def test_paths_in_backticks_exist(page):
             ):
                 named.add(word)
     assert {name for name in named if not name.startswith(EXAMPLES) and not exists(name)} == set()
-
-
-def rooms() -> dict[str, tuple[str, str]]:
-    """The table of rooms in architecture.md: room -> (what it may import, its heavy libraries)."""
-    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").split("## The rooms")[1].split("##")[0]
-    found = {}
-    for row in re.findall(r"^\| (.*) \|$", text, flags=re.MULTILINE):
-        first, _, sees, heavy = (cell.strip() for cell in row.split("|"))
-        found[first.strip("`/")] = sees, heavy
-    return {room: cells for room, cells in found.items() if not room.startswith(("-", "room"))}
-
-
-def test_the_table_of_rooms_is_what_the_layer_test_keeps():
-    """Each room has a row, with the rooms that it may import."""
-    table = rooms()
-    assert set(table) == set(BELOW)
-    for room, below in BELOW.items():
-        if not table[room][0].startswith(("all", "every")):
-            assert {*re.findall(r"[\w/]+", table[room][0])} == {"base", *below}, room

@@ -254,9 +254,3 @@ def test_options_out_of_range_are_refused(stage, tmp_path, arguments, words):
     for word in words:
         assert word in done.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_without_stages_is_refused(tmp_path):
-    """With what a stage is called."""
-    done = run(tmp_path, "-o", tmp_path / "out")
-    assert done.returncode == 2 and ".usda" in done.stderr and "Traceback" not in done.stderr

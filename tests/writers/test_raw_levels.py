@@ -238,11 +238,3 @@ def test_any_damage_ends_in_a_picture_or_one_line(tmp_path, capfd):
         pictures += 1
     assert 30 < pictures < 170
     assert "Traceback" not in capfd.readouterr().err
-
-
-def test_the_command_line_says_one_line_of_a_file_that_is_cut(tmp_path):
-    """What LibRaw writes of its own is not among it."""
-    whole = write(tmp_path / "a.dng", stored(1024), [(50714, SHORT, 1, 1024)]).read_bytes()
-    (tmp_path / "a.dng").write_bytes(whole[: len(whole) - 1000])
-    done = cli.run("graph", "run", "raw", "--in", tmp_path / "a.dng", "-o", tmp_path)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "a.dng: cannot be read as RAW" in done.stderr

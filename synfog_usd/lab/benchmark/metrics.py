@@ -21,7 +21,7 @@ Picture = npt.NDArray[np.uint8]
 
 LPIPS_WANTING = "lpips: not measured; its network's weights are in no installable package"
 
-PACKAGES = {"pyfade": "fade-python", "flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
+PACKAGES = {"flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
 """What brings a metric's library; the licence of the first is for research, so it is in no extra."""
 
 
@@ -102,24 +102,11 @@ def _lab(picture: Picture) -> npt.NDArray[np.float64]:
     return np.asarray(colour.XYZ_to_Lab(xyz, white))[place].reshape(picture.shape)
 
 
-def fade(picture: Picture, truth: Picture) -> float:
-    """How much fog an observer would see in the picture alone, by statistics of real foggy and clear photographs; nan
-    for one without structure, or smaller than some patches of 8 pixels.
-    """
-    import pyfade
-
-    try:
-        return float(pyfade.fade(picture))
-    except (ValueError, IndexError):
-        return math.nan
-
-
 METRICS = {
     "psnr": Metric("PSNR [dB]", psnr, True, 2, "10 log10(255^2 / MSE)"),
     "ssim": Metric("SSIM", ssim, True, 3, "Wang, Bovik, Sheikh and Simoncelli 2004", "skimage"),
     "flip": Metric("FLIP", flip, False, 3, "Andersson et al. 2020", "flip_evaluator"),
     "de2000": Metric("CIEDE2000", delta_e, False, 2, "CIE 142-2001"),
-    "fade": Metric("FADE", fade, False, 2, "Choi, You and Bovik 2015", "pyfade"),
 }
 """Name -> metric, in the order of tables; the first decides ranks."""
 
