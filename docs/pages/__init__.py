@@ -8,9 +8,8 @@ from __future__ import annotations
 
 def every() -> dict[str, str]:
     """Path from the project's folder -> text, of all files that are made."""
-    from docs.pages import api, commands, lights, recipes, rules, sets
+    from docs.pages import api, commands, lights, ops, recipes, rules, sets
     from synfog_usd import camera
-    from synfog_usd.camera.graph import reference
     from synfog_usd.cli.graph import schema_text
 
     return {
@@ -18,7 +17,7 @@ def every() -> dict[str, str]:
         "docs/reference/check.md": rules.page(),
         "docs/reference/cli.md": commands.page(),
         "docs/reference/lights.md": lights.page(),
-        "docs/reference/ops.md": reference.pages(camera.OPS),
+        "docs/reference/ops.md": ops.page(camera.OPS),
         "docs/reference/recipe.schema.json": recipes.text(),
         "docs/reference/recipes.md": recipes.page(),
         "docs/reference/set.schema.json": sets.text(),

@@ -84,11 +84,9 @@ def _columns() -> int:
     return max(40, shutil.get_terminal_size((80, 24)).columns)
 
 
-def explain(op: str | None, *, everything: bool) -> None:
-    """Print the page of an op, of all, or the list of ops."""
-    if everything:
-        print(reference.pages(camera.OPS), end="")
-    elif op is not None:
+def explain(op: str | None) -> None:
+    """Print the page of an op, or the list of ops."""
+    if op is not None:
         print(reference.page(camera.OPS, op))
     else:
         width = max(len(item.name) for item in camera.OPS)

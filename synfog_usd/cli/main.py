@@ -511,12 +511,11 @@ def graph_run(words: GraphWords) -> None:
 @graph_app.command("explain")
 def graph_explain(
     op: Annotated[str | None, typer.Argument(help="Name of an op, as sensor.gain; a list of all if left out.")] = None,
-    everything: Annotated[bool, typer.Option("--all", help="The pages of all ops.")] = False,
 ) -> None:
     """Print the page of an op: what it computes, takes and gives, its parameters, units and ranges."""
     from synfog_usd.cli import graph as verb
 
-    verb.explain(op, everything=everything)
+    verb.explain(op)
 
 
 @graph_app.command("schema")

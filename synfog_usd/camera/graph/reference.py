@@ -3,15 +3,7 @@
 from __future__ import annotations
 
 from synfog_usd.base.errors import GraphError, did_you_mean
-from synfog_usd.base.image import Quantity
 from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Registry
-
-HEAD = """\
-# Ops
-
-Every step that a graph can name. This page is made from the functions themselves: `synfog-usd graph explain --all`.
-What an op takes and gives is checked when a graph is loaded; a range that a value leaves is refused with its line.
-"""
 
 
 def page(registry: Registry, name: str) -> str:
@@ -24,32 +16,19 @@ def page(registry: Registry, name: str) -> str:
     if op is None:
         names = sorted(registry.ops)
         raise GraphError(f"no op {name!r}; there are {', '.join(names)}.{did_you_mean(name, names)}")
-    return "\n".join(_lines(op))
+    return "\n".join(section(op))
 
 
-def pages(registry: Registry) -> str:
-    """One page with all ops: families as light meets them, each in the order of its declaration."""
-    quantities = [None, *Quantity]
-    first: dict[str, int] = {}
-    for op in registry:
-        first[op.family] = min(first.get(op.family, len(quantities)), quantities.index(op.takes[0].quantity))
-    ordered = sorted(registry, key=lambda op: (first[op.family], op.family))
-    contents = ["| op | takes | gives | does |", "|---|---|---|---|"]
-    contents += [
-        f"| [{op.name}](#{op.name.replace('.', '')}) | {_takes(op)} | {_gives(op)} | {op.summary} |" for op in ordered
-    ]
-    return "\n".join([HEAD, *contents, "", *("\n".join(_lines(op)) for op in ordered)])
-
-
-def _lines(op: Op) -> list[str]:
+def section(op: Op) -> list[str]:
+    """Lines of an op's page, in Markdown."""
     text = _without_arguments(op.doc)
     lines = [
         f"## {op.name}",
         "",
         *text,
         "",
-        f"Takes {_takes(op)}; gives "
-        f"{_gives(op)}.{' Draws random numbers from a stream named by the node.' if op.draws else ''}",
+        f"Takes {takes(op)}; gives "
+        f"{gives(op)}.{' Draws random numbers from a stream named by the node.' if op.draws else ''}",
         "",
     ]
     rows = [parameter for parameter in op.parameters.values() if parameter.can_be_set]
@@ -67,12 +46,14 @@ def _lines(op: Op) -> list[str]:
     return lines
 
 
-def _takes(op: Op) -> str:
+def takes(op: Op) -> str:
+    """What it reads, in words."""
     several = " (any number of images)" if op.variadic else ""
     return ", ".join(map(str, op.takes)) + several
 
 
-def _gives(op: Op) -> str:
+def gives(op: Op) -> str:
+    """What comes out, in words."""
     return "what it takes" if op.gives == Port() else str(op.gives)
 
 
