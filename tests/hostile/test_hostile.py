@@ -644,11 +644,9 @@ def promised(*words):
     return said
 
 
-@pytest.mark.parametrize("kind, brackets", [pytest.param("float3", "()", marks=pytest.mark.slow), ("float[]", "[]")])
-def test_values_nested_without_end_are_one_line(tmp_path, kind, brackets):
+def test_values_nested_without_end_are_one_line(tmp_path):
     """USD's parser keeps what it is within, and takes 20 GB for 100 000 brackets where it may."""
-    opened, closed = brackets
-    text = f'def "A"\n{{\n    {kind} x = {opened * 100_000}{closed * 100_000}\n}}\n'
+    text = f'def "A"\n{{\n    float[] x = {"[" * 100_000}{"]" * 100_000}\n}}\n'
     promised("check", written(tmp_path / "deep.usda", HEAD + CAMERA + text))
 
 
@@ -672,16 +670,15 @@ mesh = UsdGeom.Mesh.Define(stage, "/M")
 mesh.CreatePointsAttr([(0, 5, 0), (1, 5, 0), (0, 5, 1)])
 mesh.CreateFaceVertexCountsAttr([3])
 mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
-mesh.GetPrim().GetAttribute(sys.argv[2]).Set(Vt.IntArray.FromNumpy(np.zeros(400_000_000, np.int32)))
+mesh.GetPrim().GetAttribute("faceVertexIndices").Set(Vt.IntArray.FromNumpy(np.zeros(400_000_000, np.int32)))
 stage.Save()
 """
 
 
-@pytest.mark.parametrize("name", [pytest.param("faceVertexCounts", marks=pytest.mark.slow), "faceVertexIndices"])
-def test_a_small_file_that_unpacks_to_gigabytes_is_one_line(tmp_path, name):
+def test_a_small_file_that_unpacks_to_gigabytes_is_one_line(tmp_path):
     """400 million equal numbers in 0.4 MB; made in a child, since what is started shows its parent's memory."""
     path = tmp_path / "a.usdc"
-    subprocess.run([sys.executable, "-c", BOMB, path, name], check=True)
+    subprocess.run([sys.executable, "-c", BOMB, path], check=True)
     promised("bake", path, "-o", tmp_path / "out", "--resolution", "16x9", "--samples", "2")
 
 
