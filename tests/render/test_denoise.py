@@ -414,7 +414,7 @@ def grey(image):
 
 
 def real(name, folder):
-    from streets import STREETS, scene_of
+    from docs.studies.streets import STREETS, scene_of
 
     return scene_of(next(street for street in STREETS if street.name == name), (64, 36), folder)
 

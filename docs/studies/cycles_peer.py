@@ -4,7 +4,7 @@ Runs in Blender's Python (bpy 5.0.1, which wants Python 3.11) and imports nothin
 ours.  Takes `<stem>.npz` and `<stem>.json`; leaves an .npz with the radiance of every
 render, its samples, its seed, wall and processor seconds, and Cycles' settings.
 
-    BLENDER_ENV/bin/python tests/bench/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4
+    BLENDER_ENV/bin/python docs/studies/cycles_peer.py out/canyon out/canyon_cycles.npz --samples 64,256 --seeds 4
     --threads 2
 
 Everything that trades bias for noise is off, unless `--denoise` asks for its denoiser: clamping, adaptive sampling,
@@ -262,6 +262,7 @@ def _camera(camera: dict) -> None:
 
 
 def main() -> None:
+    """Measure what the command line asks for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("stem", type=Path)
     parser.add_argument("out", type=Path)

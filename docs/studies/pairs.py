@@ -1,6 +1,6 @@
 """Stages of other tools beside Blender's Cycles, from the same files, in linear light.
 
-    python tests/dcc/pairs.py out/pairs --blender .venv-bpy/bin/python [--public ../shared/usd] [--only sky,sun]
+    python -m docs.studies.pairs out/pairs --blender .venv-bpy/bin/python [--public ../shared/usd] [--only sky,sun]
 
 Nine stages are written by Blender's own exporter; two are public models with a camera and a sky in a layer over them.
 Cycles draws what Blender's own import makes of the file, and we what our translation makes of it.  Prints the table of

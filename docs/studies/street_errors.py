@@ -1,8 +1,8 @@
 """The shipped crossing against references of many samples: how large is the error, raw and denoised, and where from?
 
-    python tests/bench/street_errors.py -o out/errors               # the whole table; references are kept in the folder
-    python tests/bench/street_errors.py -o out/errors --only "crossroads dusk" --table raw
-    python tests/bench/street_errors.py -o out/errors --table sensor # the RAW file's deviation over that of the sensor
+    python -m docs.studies.street_errors -o out/errors              # the whole table; references are kept in the folder
+    python -m docs.studies.street_errors -o out/errors --only "crossroads dusk" --table raw
+    python -m docs.studies.street_errors -o out/errors --table sensor # the RAW file's deviation over that of the sensor
 
 Figures, all of luminance (the mean of R, G and B) and of several seeds:
 
@@ -32,8 +32,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from streets import STREETS, Street, scene_of
 
+from docs.studies.streets import STREETS, Street, scene_of
 from synfog_usd import camera
 from synfog_usd.base import numbers
 from synfog_usd.base.arrays import Array
@@ -236,6 +236,7 @@ def grey_wall(size: tuple[int, int], *, foggy: bool) -> SceneDict:
 
 
 def main() -> None:
+    """Measure what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, help="for the references, which are made where they are not there")
     parser.add_argument("--table", choices=TABLES, action="append")

@@ -4,10 +4,10 @@ Every figure is the variance of one sample, relative to the pixel's light, times
 processor seconds that the sample takes: how long a renderer works for a given noise.
 Processor seconds bear other work on the machine; ratios in one run are what counts.
 
-    python tests/bench/streets.py volpath                       # the streets as they are
-    python tests/bench/streets.py cycles --bpy BLENDER_ENV/bin/python -o out/streets    # the same streets, matt
-    python tests/bench/streets.py volpath --only crossing --samples 64
-    python tests/bench/streets.py denoised --bpy BLENDER_ENV/bin/python --size 192x108 --samples 16 --only crossroads
+    python -m docs.studies.streets volpath                       # the streets as they are
+    python -m docs.studies.streets cycles --bpy BLENDER_ENV/bin/python -o out/streets    # the same streets, matt
+    python -m docs.studies.streets volpath --only crossing --samples 64
+    python -m docs.studies.streets denoised --bpy BLENDER_ENV/bin/python --size 192x108 --samples 16 --only crossroads
 
 Cycles gets what `cycles_scene.py` exports: the same triangles, lamps, sky, fog and
 camera, each material's mean colour without gloss, masks or texture; lamps with a table
@@ -34,8 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cycles_scene import export, simplified
 
+from docs.studies.cycles_scene import export, simplified
 from synfog_usd import stage as usd
 from synfog_usd.base.arrays import Array
 from synfog_usd.fog import Fog
@@ -240,6 +240,7 @@ def denoised(
 
 
 def main() -> None:
+    """Measure what the command line asks for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("peer", choices=("volpath", "cycles", "denoised"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")

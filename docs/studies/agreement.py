@@ -1,7 +1,7 @@
 """Who agrees with whom: our fog beside closed forms of other people, and our foggy streets beside Blender Cycles'.
 
-    python tests/bench/agreement.py closed                    # two-stream, diffusion
-    python tests/bench/agreement.py cycles --bpy BLENDER_ENV/bin/python -o out/agreement [--only crossroads]
+    python -m docs.studies.agreement closed                    # two-stream, diffusion
+    python -m docs.studies.agreement cycles --bpy BLENDER_ENV/bin/python -o out/agreement [--only crossroads]
 
 `cycles`: both draw the same triangles, matt colours, lamps, sky and fog (`cycles_scene.py`).  Regions are a twelfth
 of the picture.  Prints for each street the ratio of the whole means and the region that is farthest off, each with its
@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from cycles_scene import export, from_stage
-from streets import ROOT, STREETS, matt, scene_of
 
+from docs.studies.cycles_scene import export, from_stage
+from docs.studies.streets import ROOT, STREETS, matt, scene_of
 from synfog_usd.fog import FogMedium
 from synfog_usd.fog.slab import solve
 from synfog_usd.render import models, shot
@@ -151,6 +151,7 @@ def closed() -> None:
 
 
 def main() -> None:
+    """Measure what the command line asks for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("verb", choices=("closed", "cycles"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")

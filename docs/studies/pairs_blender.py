@@ -1,7 +1,7 @@
 """Run by Blender's Python: stages that its exporter writes, and pictures that Cycles makes of any stage.
 
-    BLENDER_ENV/bin/python tests/dcc/pairs_blender.py write FOLDER SAMPLES
-    BLENDER_ENV/bin/python tests/dcc/pairs_blender.py draw STAGE.usda OUT.npz SAMPLES [CAMERA]
+    BLENDER_ENV/bin/python docs/studies/pairs_blender.py write FOLDER SAMPLES
+    BLENDER_ENV/bin/python docs/studies/pairs_blender.py draw STAGE.usda OUT.npz SAMPLES [CAMERA]
 
 A picture is what Blender's own import makes of the file, by path tracing without any of Cycles' savings: linear
 radiance (H, W, 3) as `radiance`, and the share of a pixel that is not background (H, W) as `alpha`.
@@ -55,6 +55,7 @@ def fresh():
 
 
 def box(name, at, size, colour):
+    """A matt box."""
     bpy.ops.mesh.primitive_cube_add(size=1.0, location=at, scale=size)
     thing = bpy.context.active_object
     thing.name = name
@@ -106,6 +107,7 @@ def board(folder):
 
 
 def world(strength):
+    """A white sky."""
     made = bpy.data.worlds.new("World")
     if made.node_tree is None:
         made.use_nodes = True
@@ -116,6 +118,7 @@ def world(strength):
 
 
 def lamp(kind, strength, *, at=(0, 0, 10), rotation=(0, 0, 0), **more):
+    """One of Blender's lamps."""
     bpy.ops.object.light_add(type=kind, location=at, rotation=rotation)
     data = bpy.context.active_object.data
     data.energy = strength
