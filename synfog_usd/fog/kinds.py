@@ -95,13 +95,15 @@ def joined(media: Sequence[FogMedium]) -> FogMedium:
     """Several media in one place as one: extinctions add, phase functions mix by what each scatters.
 
     Raises:
-        ParameterError: media whose extinctions go differently with height, or a grid.
+        ParameterError: media whose extinctions go differently from place to place.
     """
     first = media[0]
     if len(media) == 1:
         return first
-    if len({(medium.profile, medium.base_height_m, medium.scale_height_m) for medium in media}) > 1 or first.grid:
-        raise ParameterError("media in one place: all are uniform, or exponential with one scale height")
+    if len({(medium.profile, medium.base_height_m, medium.scale_height_m, medium.grid) for medium in media}) > 1:
+        raise ParameterError(
+            "media in one place: all are uniform, exponential with one scale height, or of one grid"
+        )
     extinction = np.array([medium.sigma_t_per_m for medium in media])
     scattering = extinction * [medium.albedo for medium in media]
     total = float(extinction.sum())

@@ -456,7 +456,8 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
         if (more := Fog.named(also)) is None or more.clear:
             raise ParameterError("it takes names of media, as rain10 or rain10+haze2000")
         warn_beyond(attributes.path, more, notes)
-        return joined([medium, more.over(medium)])
+        added = more.over(medium)
+        return joined([medium, replace(added, sigma_t_per_m=added.sigma_t_per_m * densest)])
     except ParameterError as problem:
         raise fault("also", str(problem)) from problem
 

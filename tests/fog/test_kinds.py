@@ -11,6 +11,7 @@ from synfog_usd.base import tables
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog import Fog, FogMedium, kinds, mie
 from synfog_usd.fog.drops import GammaSizes, rain_extinction
+from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.phase import HenyeyGreenstein
 
 needs_mie = pytest.mark.skipif(importlib.util.find_spec("miepython") is None, reason="needs miepython")
@@ -169,6 +170,13 @@ def test_what_no_medium_is_like_is_refused(asked, words):
 def test_media_that_thin_with_different_heights_are_refused():
     with pytest.raises(ParameterError, match="one scale height"):
         kinds.joined([FogMedium(0.1), FogMedium(0.1, profile="exponential")])
+
+
+def test_media_of_one_grid_are_one():
+    """Rain over a stage's patchy fog is patchy as that is."""
+    grid = DensityGrid(np.linspace(0.0, 1.0, 8, dtype=np.float32).reshape(2, 2, 2))
+    both = Fog(kind="rain", rate_mm_h=10.0, also=(Fog(100.0),)).over(FogMedium(0.1, profile="grid", grid=grid))
+    assert both.grid is grid and both.sigma_t_per_m > 0.03
 
 
 @pytest.mark.parametrize(
