@@ -153,6 +153,8 @@ class Bands:
         """Extinction of each band, and then its albedo, over those at 550 nm."""
         centres = PRIMARIES_NM if self.is_rgb else CENTRES_NM[self.count]
         extinction, albedo = medium.extinction_at(centres), medium.albedo_at(centres) / (medium.albedo or 1.0)
+        if self.is_rgb and medium.grid is not None:  # flights through a grid have one extinction
+            extinction = np.ones(self.count)
         if medium.colours is not None and max(np.ptp(extinction), np.ptp(albedo)) < GREY:
             return (1.0,) * 2 * self.count
         return (*extinction.tolist(), *albedo.tolist())
