@@ -155,7 +155,7 @@ class MovingPart:
     Attributes:
         id: from 1 on.
         path: prim path.
-        instance: label id of what it is part of.
+        instance: label id of the vehicle or person that has it.
         frame: (4, 4) float64 from the prim's own axes to the scene's; may scale and mirror.
     """
 

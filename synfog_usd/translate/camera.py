@@ -73,9 +73,8 @@ def read_camera(
     width_mm, height_mm = lens.horizontalAperture, lens.verticalAperture
     focal = 1.0 if parallel else lens.focalLength  # without meaning where the aperture itself is seen
     if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
-        raise StageError(
-            f"{prim.GetPath()}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0"
-        )
+        where = prim.GetPath()
+        raise StageError(f"{where}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0")
     width_px, height_px = _resolution(settings, resolution, width_mm / height_mm, prim)
     policy = settings.GetAspectRatioConformPolicyAttr().Get() if settings else "expandAperture"
     aperture = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)

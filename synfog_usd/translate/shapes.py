@@ -195,9 +195,9 @@ class Shapes:
         finishes = [finish, *[of_subset for _, of_subset in subsets]]
         uv, color = self._uv_and_color(leaf, finishes)
         signature, before = self._signature(leaf, matrix, finish, color) if not subsets else None, self.notes.count
-        known = None if self.meshes is None or signature is None else self._drawn_before(signature)
-        if known is not None:
-            return [({**known, "bsdf": {"type": "ref", "id": finish.key}}, finish.emission, finish.emission_nits)]
+        earlier = None if self.meshes is None or signature is None else self._drawn_before(signature)
+        if earlier is not None:
+            return [({**earlier, "bsdf": {"type": "ref", "id": finish.key}}, finish.emission, finish.emission_nits)]
         pieces = self._once(
             self._pieces_of,
             (uv, color),
@@ -213,10 +213,10 @@ class Shapes:
 
     def _drawn_before(self, signature: tuple[Any, ...]) -> dict[str, Any] | None:
         """The shape of a mesh that was drawn already, in this translation or the one before."""
-        known = self.drawn.get(signature) or (self.meshes or {}).get(signature)
-        if known is not None:
-            self.drawn[signature] = known
-        return known
+        shape = self.drawn.get(signature) or (self.meshes or {}).get(signature)
+        if shape is not None:
+            self.drawn[signature] = shape
+        return shape
 
     def _uv_and_color(self, leaf: Leaf, finishes: list[Finish]) -> tuple[UvSource | None, str | None]:
         """The texture coordinates and the primvar of colours that the materials of a mesh read: the first one's."""
@@ -323,8 +323,8 @@ class Shapes:
             for spec, offset in leaf.prim.GetPrimStackWithLayerOffsets()
         )
         if specs not in self._varying:
-            own = (leaf.prim.GetAttribute(name) for name in leaf.authored)
-            self._varying[specs] = any(one and one.ValueMightBeTimeVarying() for one in own)
+            attributes = (leaf.prim.GetAttribute(name) for name in leaf.authored)
+            self._varying[specs] = any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes)
         time = self.time if self._varying[specs] else None
         return (*specs, time, matrix.tobytes(), finish.uv, finish.unwrapped, color)
 

@@ -17,7 +17,7 @@ class Boxed:
 
     Attributes:
         drop: words of `visibility` whose instances get none.
-        classes: Cityscapes' names of those that may have one, in the order of the numbers that YOLO gives them; all
+        classes: Cityscapes' names of things that get boxes, in the order of YOLO's numbers; all
             things if empty.
     """
 
