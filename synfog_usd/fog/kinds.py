@@ -101,7 +101,10 @@ def joined(media: Sequence[FogMedium]) -> FogMedium:
     if len(media) == 1:
         return first
     if len({(medium.profile, medium.base_height_m, medium.scale_height_m, medium.grid) for medium in media}) > 1:
-        raise ParameterError("media in one place: all are uniform, exponential with one scale height, or of one grid")
+        raise ParameterError(
+            "media in one place are all uniform, or of one scale height, or of one grid: name the same profile and "
+            "scale for each"
+        )
     extinction = np.array([medium.sigma_t_per_m for medium in media])
     scattering = extinction * [medium.albedo for medium in media]
     total = float(extinction.sum())
