@@ -21,6 +21,9 @@ LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
 (0.95047, 1, 1.08883).
 """
 
+PRIMARIES_NM = (611.0, 549.0, 464.0)
+"""Dominant wavelengths [nm] of its primaries, at which R, G and B see a medium that is coloured."""
+
 
 def srgb_encode(linear: Floats, out: Floats | None = None) -> Floats:
     """sRGB codes of linear values of any shape, cut to the range of a screen; of the type of `linear`.

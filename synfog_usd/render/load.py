@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import drjit as dr
 import numpy as np
 
+from synfog_usd.base.colour import PRIMARIES_NM
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Boundary, FogMedium, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
@@ -477,7 +478,9 @@ def _medium(mi: ModuleType, medium: FogMedium, boundary: Boundary) -> Medium:
     record = medium.phase_function
     mitsubas = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
     phase = mitsubas if isinstance(record, HenyeyGreenstein) else plugin(record)
-    parts = {"albedo": medium.albedo, "phase": phase, "has_spectral_extinction": False}
+    coloured = {"type": "rgb", "value": medium.albedo_at(PRIMARIES_NM).tolist()}
+    albedo = medium.albedo if medium.colours is None else coloured
+    parts = {"albedo": albedo, "phase": phase, "has_spectral_extinction": False}
     empty = medium.grid is not None and not medium.grid.values.any()  # delta tracking in nothing would divide by 0
     if medium.profile == "uniform" or empty:
         return mi.load_dict({"type": "homogeneous", "sigma_t": 0.0 if empty else medium.sigma_t_per_m, **parts})

@@ -20,7 +20,7 @@ import numpy as np
 
 from synfog_usd.base import photometry
 from synfog_usd.base.arrays import Array
-from synfog_usd.base.colour import LUMINANCE
+from synfog_usd.base.colour import LUMINANCE, PRIMARIES_NM
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import RGB, check_bands
 from synfog_usd.fog import FogMedium, FogVolume
@@ -43,9 +43,6 @@ CENTRES_NM: dict[int, tuple[float, ...]] = {
 """Number of bands -> their centres; each reaches half-way to the next.  Luminance outside of them is 1e-4 of
 white's.
 """
-
-PRIMARIES_NM = (611.0, 549.0, 464.0)
-"""Wavelengths [nm] at which a medium that is coloured dims R, G and B: the dominant ones of Rec.709's primaries."""
 
 GREY = 0.03
 """Span of extinctions and albedos over wavelength below which a kind of medium is drawn grey."""
