@@ -15,8 +15,8 @@ from synfog_usd.base import files
 from synfog_usd.dataset.exports.frames import pictures
 
 WIDTH_PX = 320
-COLOURS = 128
-"""Of all frames together."""
+COLOURS = 256
+"""Of each frame."""
 
 
 def animated(out: Path, target: Path) -> int:
@@ -37,11 +37,8 @@ def animated(out: Path, target: Path) -> int:
         with Image.open(picture.screen) as full:
             size = WIDTH_PX, round(WIDTH_PX * full.height / full.width)
             small.append(full.convert("RGB").resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0))
-    together = Image.new("RGB", (WIDTH_PX, size[1] * len(small)))
-    for number, frame in enumerate(small):
-        together.paste(frame, (0, number * size[1]))
-    palette = together.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
-    first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for frame in small)
+    method = Image.Quantize.MAXCOVERAGE  # which keeps what is small and colourful
+    first, *rest = (frame.quantize(COLOURS, method=method, kmeans=1) for frame in small)
     how = {"save_all": True, "append_images": rest, "duration": round(1000 / per_s), "loop": 0, "optimize": False}
     files.write_whole(target, lambda path: first.save(path, format="GIF", **how))
     return len(small)
