@@ -1,4 +1,4 @@
-"""Joints of the people who walk, as their models stand: what the composer needs to make them walk.
+"""Joints of the people who walk or pedal, as their models are: what the composer needs to make them move.
 
 Takes the people of `people` and `wayfarers`; gives rows of `nominal.json`.
 """
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from assets.builders.people import PEOPLE, Person, fields_of, kind_of, pose
-from assets.builders.wayfarers import WALKERS
+from assets.builders.people import PEOPLE, RIDER, Person, fields_of, kind_of, pose
+from assets.builders.wayfarers import CYCLIST, WALKERS
 from synfog_usd.world.parameters import WALKERS as WALK
 
 NAMES = {"hips": "thighs", "knees": "knees", "ankles": "ankles", "toes": "toes",
@@ -23,7 +23,11 @@ STILL = {"handbag": (True, False), "umbrella": (True, False), "phone": (False, T
 def joints() -> dict[str, dict[str, dict[str, Sequence[Sequence[float]] | Sequence[bool]]]]:
     """Model -> individual -> joint -> its places on the left and on the right [m], and which arm swings."""
     walkers = [person for person in (*PEOPLE, *WALKERS) if person.name in WALK]
-    return {
+    riders = {
+        name: {"a": {name: places[key] for name, key in NAMES.items()} | {"swings": (False, False)}}
+        for name, places in (("rider", RIDER), ("cyclist", CYCLIST))
+    }
+    return riders | {
         person.name: dict(zip("abcdefg", (_joints(one) for one in kind_of(person)), strict=False)) for person in walkers
     }
 

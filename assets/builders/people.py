@@ -344,22 +344,25 @@ def _walking(person: Person, phase: float, taller: float, broader: float, turned
     return moved if person.holds else replace(moved, arms=(arms[0], arms[1]), elbows=(elbows[0], elbows[1]))
 
 
+RIDER = {
+    "hips": (0.0, -0.22, 0.99),
+    "chest": (0.0, 0.08, 1.38),
+    "neck": (0.0, 0.15, 1.52),
+    "head": (0.0, 0.21, 1.665),
+    "shoulders": [(s * 0.18, 0.10, 1.43) for s in (-1, 1)],
+    "elbows": [(s * 0.27, 0.24, 1.20) for s in (-1, 1)],
+    "hands": [(s * 0.24, 0.40, 1.05) for s in (-1, 1)],
+    "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)],
+    "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
+    "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)],
+    "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
+}
+"""Joints of who rides the bicycle [m]."""
+
+
 def build_rider() -> Component:
     """Who rides the bicycle of `build_bicycle`: place both at the same point."""
-    hips, chest = (0.0, -0.22, 0.99), (0.0, 0.08, 1.38)
-    joints = {
-        "hips": hips,
-        "chest": chest,
-        "neck": (0.0, 0.15, 1.52),
-        "head": (0.0, 0.21, 1.665),
-        "shoulders": [(s * 0.18, 0.10, 1.43) for s in (-1, 1)],
-        "elbows": [(s * 0.27, 0.24, 1.20) for s in (-1, 1)],
-        "hands": [(s * 0.24, 0.40, 1.05) for s in (-1, 1)],
-        "thighs": [(s * 0.085, -0.22, 0.96) for s in (-1, 1)],
-        "knees": [(-0.10, 0.12, 0.68), (0.10, 0.20, 0.86)],
-        "ankles": [(-0.11, -0.12, 0.22), (0.11, -0.10, 0.50)],
-        "toes": [(-0.11, 0.04, 0.145), (0.11, 0.06, 0.45)],
-    }
+    joints = RIDER
     fields = fields_of(joints, Person("rider", "", 1.78, coat=0.06, hair="helmet"))
     parts = cut_by_role(fields, joints, (-0.45, -0.6, 0.0), (0.45, 0.65, 1.95), 8000)
     parts = [*soled(parts, joints), *face(fields, joints)]

@@ -358,22 +358,26 @@ def _wheelchair_user() -> Component:
     )
 
 
+CYCLIST: Joints = {
+    "hips": (0.0, -0.24, 0.99),
+    "chest": (0.0, 0.12, 1.28),
+    "neck": (0.0, 0.23, 1.40),
+    "head": (0.0, 0.31, 1.53),
+    "shoulders": [(s * 0.165, 0.15, 1.31) for s in (-1, 1)],
+    "elbows": [(s * 0.235, 0.27, 1.14) for s in (-1, 1)],
+    "hands": [(s * 0.235, 0.38, 1.045) for s in (-1, 1)],
+    "thighs": [(s * 0.085, -0.23, 0.96) for s in (-1, 1)],
+    "knees": [(-0.10, 0.20, 0.86), (0.10, 0.12, 0.68)],
+    "ankles": [(-0.11, -0.10, 0.50), (0.11, -0.12, 0.22)],
+    "toes": [(-0.11, 0.06, 0.45), (0.11, 0.04, 0.145)],
+}
+"""Joints of who rides the sporty bicycle [m]."""
+
+
 def _cyclist() -> Component:
     """Somebody on a sporty bicycle, bent forward; rider and bicycle in one."""
     machine = build_bicycle()
-    joints: Joints = {
-        "hips": (0.0, -0.24, 0.99),
-        "chest": (0.0, 0.12, 1.28),
-        "neck": (0.0, 0.23, 1.40),
-        "head": (0.0, 0.31, 1.53),
-        "shoulders": [(s * 0.165, 0.15, 1.31) for s in (-1, 1)],
-        "elbows": [(s * 0.235, 0.27, 1.14) for s in (-1, 1)],
-        "hands": [(s * 0.235, 0.38, 1.045) for s in (-1, 1)],
-        "thighs": [(s * 0.085, -0.23, 0.96) for s in (-1, 1)],
-        "knees": [(-0.10, 0.20, 0.86), (0.10, 0.12, 0.68)],
-        "ankles": [(-0.11, -0.10, 0.50), (0.11, -0.12, 0.22)],
-        "toes": [(-0.11, 0.06, 0.45), (0.11, 0.04, 0.145)],
-    }
+    joints = CYCLIST
     mirror = scale(-1, 1, 1)  # so that the left pedal is up
     fields = fields_of(joints, Person("cyclist", "", 1.70, coat=0.02, hair="helmet", build=0.88))
     parts = [

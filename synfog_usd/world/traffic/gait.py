@@ -137,7 +137,7 @@ def gait(bones: Skeleton, travel: Array, speed: float, stands: Array | float = 0
         speed: usual [m/s], > 0; it makes the length of the stride.
         stands: (F,) of `standing`.
     """
-    legs = [_Leg.of(bones, side) for side in (0, 1)]
+    legs = [Leg.of(bones, side) for side in (0, 1)]
     length = legs[0].thigh + legs[0].shin
     step = STIFF * math.sqrt(WALK_RATIO_M_S * speed * length / LEG_M)
     stride = _Stride(RUNS if speed > RUNS_M_S else WALKS, 2.0 * step, length)
@@ -173,7 +173,7 @@ def gait(bones: Skeleton, travel: Array, speed: float, stands: Array | float = 0
 
 
 @dataclass(frozen=True)
-class _Leg:
+class Leg:
     """A leg in the plane in which it swings: lengths [m] and angles [rad], 0 straight down, forward positive.
 
     Attributes:
@@ -193,7 +193,8 @@ class _Leg:
     sole: float
 
     @classmethod
-    def of(cls, bones: Skeleton, side: int) -> _Leg:
+    def of(cls, bones: Skeleton, side: int) -> Leg:
+        """The left leg (0) or the right one (1)."""
         hip, knee, ankle, toe = (row[side, 1:] for row in (bones.hips, bones.knees, bones.ankles, bones.toes))
         upper, lower = knee - hip, ankle - knee
         thigh, shin = float(np.hypot(*upper)), float(np.hypot(*lower))
@@ -245,7 +246,7 @@ class _Stride:
     length: float
     leg: float
 
-    def _heel(self, leg: _Leg, phase: Array) -> tuple[Array, Array, Array]:
+    def _heel(self, leg: Leg, phase: Array) -> tuple[Array, Array, Array]:
         """Heel of the flat foot ahead of the hip [m], pitch [rad] and height over the ground [m]."""
         u, style = phase % 1.0, self.style
         first = style.under * self.length - leg.heel[0]
@@ -254,7 +255,7 @@ class _Stride:
         pitch = np.radians(interpolate.pchip_interpolate(*np.array(style.pitch).T, u))
         return first - self.length * u + swung, pitch, style.lift * self.leg * np.sin(math.pi * w) ** 2
 
-    def hip(self, phase: Array, leg: _Leg) -> Array:
+    def hip(self, phase: Array, leg: Leg) -> Array:
         """Height of the hips [m]: as high as the leg allows that comes down, and a rise between two steps."""
         y, z = leg.ankle_at(*self._heel(leg, np.zeros(1))[:2])
         reach = math.sqrt(max((0.995 * self.leg) ** 2 - float(y[0]) ** 2, (0.8 * self.leg) ** 2))
@@ -263,7 +264,7 @@ class _Stride:
         wave = np.cos(4.0 * math.pi * (phase - self.style.stands / 2.0))
         return low + 0.5 * rise * (1.0 + math.copysign(1.0, self.style.rise) * wave)
 
-    def begin(self, legs: Sequence[_Leg]) -> float:
+    def begin(self, legs: Sequence[Leg]) -> float:
         """The left foot's moment of the stride that is most like the pose of the model."""
         phase = np.arange(FIT) / FIT
         error = np.zeros(FIT)
@@ -273,7 +274,7 @@ class _Stride:
             error += (y - leg.ankle[0]) ** 2 + (z + up - leg.ankle[1]) ** 2 + 0.02 * (pitch - leg.pitch) ** 2
         return float(phase[np.argmin(error)])
 
-    def foot(self, leg: _Leg, phase: Array, first: float, fade: Array) -> tuple[Array, Array, Array]:
+    def foot(self, leg: Leg, phase: Array, first: float, fade: Array) -> tuple[Array, Array, Array]:
         """Ankle ahead of the hip and over the ground [m], and pitch [rad], from the pose of the model on."""
         heel, pitch, up = self._heel(leg, np.array([first]))
         turned = leg.pitch - float(pitch[0])

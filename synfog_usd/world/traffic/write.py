@@ -16,6 +16,7 @@ from synfog_usd.world.roads import stage
 from synfog_usd.world.shapes import shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.traffic.motion import Clip, Track
+from synfog_usd.world.traffic.pedals import PEDALLERS
 from synfog_usd.world.traffic.samples import KINDS, attribute, order, sample
 from synfog_usd.world.traffic.write_people import author_walker, rise_of
 from synfog_usd.world.traffic.write_signals import author_signal
@@ -38,7 +39,7 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
         _author_track(layer, prim, p, track, clip)
         if p.group == "Vehicles":
             author_vehicle(layer, prim, p, track, clip.codes)
-        else:
+        if p.group == "People" or p.asset in PEDALLERS:
             author_walker(layer, prim, p, track, clip)
     for index, lenses in sorted(clip.signals.items()):
         author_signal(layer, spec.placed[index], lenses, clip.codes)

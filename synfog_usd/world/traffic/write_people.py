@@ -1,4 +1,4 @@
-"""People who walk as time samples: legs and arms that turn, in the place of those of the model's meshes."""
+"""People who walk or pedal as time samples: legs and arms that turn, in the place of those of the model's meshes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from synfog_usd.world.spec import Placement
 from synfog_usd.world.traffic.gait import Gait, gait, skeleton, standing
 from synfog_usd.world.traffic.limbs import Limb, Limbs, limbs_of
 from synfog_usd.world.traffic.motion import Clip, Track
+from synfog_usd.world.traffic.pedals import PEDALLERS, pedalling
 from synfog_usd.world.traffic.samples import KINDS, attribute, begin, bound, geometry, keep, refer, sample
 
 
@@ -20,6 +21,8 @@ def _gait(p: Placement, track: Track, t: Array) -> Gait | None:
     bones = skeleton(p.asset, individual(p))
     if bones is None:
         return None
+    if p.asset in PEDALLERS:
+        return pedalling(bones, track.travel / p.size)
     return gait(bones, track.travel / p.size, pace(track), standing(t, track.travel))
 
 
@@ -30,8 +33,9 @@ def rise_of(p: Placement, track: Track, t: Array) -> Array:
 
 
 def author_walker(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, clip: Clip) -> None:
-    """Limbs of somebody who walks."""
+    """Limbs of somebody who walks or pedals."""
     meshes, parts = geometry(p)
+    parts += "_limbs"
     walk, limbs = _gait(p, track, clip.codes / clip.fps), limbs_of(meshes, p.asset, individual(p))
     if limbs is None or walk is None:
         return
@@ -40,7 +44,7 @@ def author_walker(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tra
     refer(prim, parts)
     for limb in limbs.limbs:
         over = Sdf.CreatePrimInLayer(layer, prim.path.AppendPath(_place(limb, limbs)))
-        angles = np.round(walk.turns[limb.name], 2) + 0.0
+        angles = np.round(walk.turns.get(limb.name, np.zeros(len(clip.codes))), 2) + 0.0
         sample(layer, attribute(over, "xformOp:rotateX", KINDS.Float), clip.codes, angles.tolist())
 
 

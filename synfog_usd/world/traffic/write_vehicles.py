@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-from pxr import Gf, Sdf, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.world.components import author_mesh
@@ -11,7 +13,10 @@ from synfog_usd.world.lamps import LAMPS
 from synfog_usd.world.roads import rules
 from synfog_usd.world.shapes import shift
 from synfog_usd.world.spec import Placement
+from synfog_usd.world.traffic.cutting import read_part
+from synfog_usd.world.traffic.gait import SIDES
 from synfog_usd.world.traffic.motion import Track
+from synfog_usd.world.traffic.pedals import BICYCLES, CENTRE, Cranks, crank_turn, cranks_of
 from synfog_usd.world.traffic.samples import (
     DARK,
     KINDS,
@@ -28,6 +33,8 @@ from synfog_usd.world.traffic.samples import (
 )  # fmt: skip
 from synfog_usd.world.traffic.wheels import Wheels, sides_of, wheels_of
 
+LABELS = "SemanticsLabelsAPI:cityscapes"
+LABEL = "semantics:labels:cityscapes"
 INDICATORS = "amber"
 """Material of indicators."""
 
@@ -48,8 +55,13 @@ def _author_wheels(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tr
     if wheels is None:
         return
     if not layer.GetPrimAtPath(parts):
-        _author_parts(layer, parts, wheels)
+        _author_parts(layer, parts, p.asset, wheels, meshes)
     refer(prim, parts)
+    if p.asset in BICYCLES:
+        turn = np.round(crank_turn(track.travel / p.size), 1)
+        for place, angle in (("", turn), *((f"/{side}", -turn) for side in SIDES)):
+            over = Sdf.CreatePrimInLayer(layer, prim.path.AppendPath(f"Cranks{place}"))
+            sample(layer, attribute(over, "xformOp:rotateX", KINDS.Float), codes, (angle + 0.0).tolist())
     for wheel in wheels.wheels:
         over = Sdf.CreatePrimInLayer(layer, prim.path.AppendPath(f"Wheels/{wheel.name}"))
         spin = np.round(np.degrees(-track.travel / (wheel.radius * p.size)), 1)
@@ -59,10 +71,19 @@ def _author_wheels(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Tr
             sample(layer, attribute(over, "xformOp:rotateZ", KINDS.Float), codes, steer.tolist())
 
 
-def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
-    """What a reference brings to a model whose wheels turn: the wheels, and meshes without them."""
+def _author_parts(layer: Sdf.Layer, path: str, asset: str, wheels: Wheels, meshes: Path) -> None:
+    """What a reference brings to a model whose wheels turn: the wheels and cranks, and meshes without them."""
     scratch = begin(path)
-    for name, part in wheels.rest.items():
+    rest, chrome, plastic = (
+        dict(wheels.rest),
+        wheels.rest.get("chrome"),
+        read_part(Sdf.Layer.FindOrOpen(str(meshes)), "black_plastic"),
+    )
+    if asset in BICYCLES and chrome and plastic:
+        cranks = cranks_of(chrome, plastic)
+        rest |= cranks.rest
+        _author_cranks(scratch, path, cranks)
+    for name, part in rest.items():
         if part is None:
             scratch.OverridePrim(f"{path}/Geometry/{name}").SetActive(False)
         else:
@@ -80,7 +101,28 @@ def _author_parts(layer: Sdf.Layer, path: str, wheels: Wheels) -> None:
                 part.moved(shift(*(-v for v in wheel.axle))),
                 f"{path}/Materials/{name}",
             )
+    model = Sdf.Layer.FindOrOpen(str(rules.model(asset).path))
+    label = model.GetAttributeAtPath(f"/{asset}/Geometry/tyre.{LABEL}")
+    for prim in (scratch.GetPrimAtPath(f"{path}/{name}") for name in ("Wheels", "Cranks")):
+        if label and prim:  # a model with its rider has labels by material
+            prim.AddAppliedSchema(LABELS)
+            prim.CreateAttribute(LABEL, KINDS.TokenArray).Set(label.default)
     keep(layer, scratch, path)
+
+
+def _author_cranks(scratch: Usd.Stage, path: str, cranks: Cranks) -> None:
+    """Arms that turn about their middle, and on them pedals that stay level."""
+    root = UsdGeom.Xform.Define(scratch, f"{path}/Cranks")
+    root.AddTranslateOp().Set(Gf.Vec3d(*CENTRE))
+    root.AddRotateXOp().Set(0.0)
+    centred = cranks.arms.moved(shift(*(-v for v in CENTRE)))
+    bound(scratch, f"{path}/Cranks/chrome", centred, f"{path}/Materials/chrome")
+    for side, (part, middle) in cranks.pedals.items():
+        pedal = UsdGeom.Xform.Define(scratch, f"{path}/Cranks/{side}")
+        pedal.AddTranslateOp().Set(Gf.Vec3d(*np.round(middle - CENTRE, 5).tolist()))
+        pedal.AddRotateXOp().Set(0.0)
+        centred = part.moved(shift(*(-v for v in middle)))
+        bound(scratch, f"{pedal.GetPath()}/black_plastic", centred, f"{path}/Materials/black_plastic")
 
 
 # -- lamps
