@@ -124,8 +124,9 @@ def stages(tmp_path_factory):
 
 
 def walkers(stage):
-    """People with limbs."""
-    return [prim for prim in stage.GetPrimAtPath("/World/People").GetChildren() if prim.GetChild("Limbs")]
+    """People on foot with limbs."""
+    people = stage.GetPrimAtPath("/World/People").GetChildren()
+    return [prim for prim in people if prim.GetChild("Limbs") and not prim.GetName().startswith("Rider")]
 
 
 def points_of(prim, frame, names=None):
