@@ -172,6 +172,8 @@ class _Work:
         log: Callable[[str], None],
         reading: Reading,
     ) -> None:
+        from synfog_usd.dataset.drops import FallTime
+
         self.seconds: dict[str, float] = {}
         self._plan, self._session, self._ledger = plan, session, ledger
         self._every, self._unfinished = every, unfinished
@@ -184,6 +186,7 @@ class _Work:
             self._first = self._scenes.of(every[0])
         self._alone = self._first.camera.width_px * self._first.camera.height_px > ALONE_PX
         self._settings = settings_of(plan, None, 1.0)
+        self._moment = FallTime.of(session)
 
     def do(self) -> None:
         """Make them."""
@@ -277,6 +280,9 @@ class _Work:
         self._ledger.add_labels(write_labels(visible, first, self._plan, self._session.graph, pinhole, pierced, loaded))
 
     def _finish(self, shot: Shot, began: float, result: RenderedShot) -> None:
+        from synfog_usd.dataset.drops import with_drops
+
+        result = with_drops(result, self._session.graph, self._moment)
         row = write_shot(result, self._session.graph, self._plan, self._specimen)
         self._ledger.add(shot, row)
         self.seconds[shot.folder] = time.perf_counter() - began

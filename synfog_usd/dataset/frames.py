@@ -21,6 +21,7 @@ from synfog_usd.base.image import Image
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.values import check_words, names, path_of
 from synfog_usd.camera.writers import write_exr
+from synfog_usd.dataset import drops
 from synfog_usd.dataset.asked import fog_names, plan_of
 from synfog_usd.dataset.job import reading_here
 from synfog_usd.dataset.labels import label_image
@@ -112,8 +113,9 @@ class Frame:
         transmittance: (H, W) float32 of the fog from the camera to the surface, 0 to 1.
         error: (H, W) float32, expected RMS error of the luminance [cd m-2]; None where nothing was denoised.
         variance: shape of `radiance`, float32, of the mean of a pixel's samples.
-        layers: name -> shape of `radiance`: 'surface', 'airlight_single', 'airlight_multiple' and 'lamps_direct', which
-            add up to it, and 'lightgroup_<name>', which do so too.
+        layers: name -> shape of `radiance`: 'surface', 'airlight_single', 'airlight_multiple', 'lamps_direct' and
+            'drops', what rain or snow near the camera changes, which add up to it; and 'lightgroup_<name>', which do so
+            without drops.
         instances: what ids stand for: `id`, `path`, `label` (Cityscapes).
         warnings: what went wrong on the way, in words.
     """
@@ -251,7 +253,7 @@ def render(
     visible = view.visible if view and view.world is world.world else None
     moments = moments_of(session.graph)
     picture = sample_shot(shot, world, renderer, view, plan, scenes.sensor, moments, progress)
-    result = picture(silent)
+    result = drops.with_drops(picture(silent), session.graph, drops.FallTime.of(session))
     if visible is None:
         visible = aovs.measure(renderer.within(replace(world, fog=())))
     image = result.rendered.radiance.with_metadata(**provenance_of(result, plan, session.specimen(scene._eye)))

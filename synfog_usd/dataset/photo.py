@@ -222,7 +222,8 @@ def _of_frame(frame: Frame, graph: NodeGraph) -> dict[str, Image]:
                 f"graph {graph.name!r} sees the exposure in parts, and things move in this frame; render it anew from "
                 f"load(..., pipeline={graph.name!r})"
             )
-        exposures[name] = radiance.with_pixels(result.exposures[name].pixels) if moves else radiance
+        part = result.exposures.get(name, radiance)
+        exposures[name] = radiance.with_pixels(part.pixels)
     inputs = inputs_of(graph, result.rendered, radiance, exposures)
     depth = Image(frame.depth_m[:, :, None], ("depth.Z",), Quantity.DATA)
     return inputs | {name: depth for name, port in graph.inputs.items() if port.quantity is Quantity.DATA}

@@ -149,9 +149,9 @@ class Fog:
         if self.kind is None:
             assert self.mor_m is not None
             sigma_t = float(extinction_from_visibility(self.mor_m))
-            return replace(medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST, **changes)
+            return replace(medium, sigma_t_per_m=sigma_t, contrast=WMO_CONTRAST, falls=(), **changes)
         of_kind = medium_of(self.kind, mor_m=self.mor_m, rate_mm_h=self.rate_mm_h)
-        names = ("sigma_t_per_m", "albedo", "phase", "colours", "angstrom", "contrast")
+        names = ("sigma_t_per_m", "albedo", "phase", "colours", "angstrom", "contrast", "falls")
         return replace(medium, **{name: getattr(of_kind, name) for name in names}, **changes)
 
     @property

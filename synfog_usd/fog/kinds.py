@@ -88,7 +88,8 @@ def medium_of(kind: str, *, mor_m: float | None = None, rate_mm_h: float | None 
         return FogMedium(sigma_t)
     colours = _colours(kind)
     albedo = 1.0 if colours is None else float(colours.albedo_at(550.0))
-    return FogMedium(sigma_t, albedo, phase=_phase(kind), colours=colours)
+    falls = () if rate_mm_h is None else ((kind, rate_mm_h),)
+    return FogMedium(sigma_t, albedo, phase=_phase(kind), colours=colours, falls=falls)
 
 
 def joined(media: Sequence[FogMedium]) -> FogMedium:
@@ -124,6 +125,7 @@ def joined(media: Sequence[FogMedium]) -> FogMedium:
         phase=_mixed([medium.phase_function for medium in media], scattering),
         colours=colours,
         angstrom=0.0,
+        falls=tuple(part for medium in media for part in medium.falls),
     )
 
 

@@ -105,6 +105,7 @@ class FogMedium:
         grid: relative densities in the boundary's box; with profile 'grid' and only then.
         contrast: threshold [1] at which its visibility is stated.
         colours: extinction and albedo by wavelength, instead of `angstrom`; None for what is grey.
+        falls: kind and rate [mm/h of water] of the rain and snow in it, where its density is 1.
     """
 
     sigma_t_per_m: float
@@ -118,6 +119,7 @@ class FogMedium:
     grid: DensityGrid | None = None
     contrast: float = WMO_CONTRAST
     colours: Colours | None = None
+    falls: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.phase is not None:

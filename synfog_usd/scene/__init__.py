@@ -55,6 +55,8 @@ class Camera:
             several times, one after the other.
         fisheye: the lens of a fisheye, whose angle of view is `fov_x_deg`; None for any other camera.  All is sharp
             behind it.
+        velocity_m_s: (x, y, z) with which it goes from frame to frame [m/s], in the scene's axes, whether or not a
+            shutter is authored; what falls before it passes as fast.
     """
 
     path: str
@@ -76,6 +78,7 @@ class Camera:
     during: tuple[float, float] = (0.0, 1.0)
     exposes: tuple[float, float] = (0.0, 1.0)
     fisheye: Fisheye | None = None
+    velocity_m_s: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), compare=False)
 
     def exposed(self, down: Down) -> tuple[float | Down, float | Down]:
         """Begin and end of what counts of the exposure of a row.

@@ -17,6 +17,7 @@ from synfog_usd.scene import PARALLEL_DEG, Camera
 from synfog_usd.stage.open import MISSING, cameras, composition_notes
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.motion import velocity_above
+from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.space import Space, columns
 
 DEFAULT_WIDTH_PX = 1280
@@ -100,6 +101,7 @@ def read_camera(
         shutter_s=_shutter_s(prim, time),
         rolling=_rolling(prim, time, notes),
         global_reset=_global_reset(prim, time, notes),
+        velocity_m_s=_velocity(prim, space, time, notes),
     )
 
 
@@ -354,6 +356,15 @@ def _motion(
         f"degrees while it exposes",
     )
     return (float(way[0]), float(way[1]), float(way[2])), (float(vector[0]), float(vector[1]), float(vector[2]))
+
+
+def _velocity(prim: Usd.Prim, space: Space, time: Usd.TimeCode, notes: Diagnostics) -> tuple[float, float, float]:
+    """Of a camera in the scene's axes [m/s], by that of the nearest prim above it that has one, else by its frames."""
+    above = velocity_above(prim, UsdGeom.XformCache(time), notes)
+    if above is not None:
+        x, y, z = (float(part) for part in space.matrix[:3, :3] @ above)
+        return x, y, z
+    return Poser(prim.GetStage(), space, time, notes).pose(str(prim.GetPath()), space.matrix)[1] or (0.0, 0.0, 0.0)
 
 
 def own_camera(stage: Usd.Stage) -> str | None:

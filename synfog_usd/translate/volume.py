@@ -444,7 +444,7 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
         if kind != FOG:
             of_kind = medium_of(kind, rate_mm_h=rate, mor_m=None if rate is not None else fog.visibility_m)
             sigma_t = fog.sigma_t_per_m if rate is None else of_kind.sigma_t_per_m * densest
-            names = ("albedo", "phase", "colours", "angstrom")
+            names = ("albedo", "phase", "colours", "angstrom", "falls")
             medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
     except ParameterError as problem:
         raise fault("rate" if rate is not None else "kind", str(problem)) from problem

@@ -1,0 +1,117 @@
+"""Drops in a picture against the medium that they are a part of, and against how they fall."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from synfog_usd import camera
+from synfog_usd.base.image import Image, Quantity
+from synfog_usd.dataset.drops import FallTime, reach_of, streaks_of, with_drops
+from synfog_usd.dataset.objects import Projection
+from synfog_usd.dataset.plan import Shot
+from synfog_usd.dataset.shot import RenderedShot
+from synfog_usd.fog import FogMedium, FogVolume
+from synfog_usd.fog.drops import rain_extinction
+from synfog_usd.fog.falling import Drops, SizeClasses
+from synfog_usd.render.film.aovs import Aovs
+from synfog_usd.render.picture import Rendered
+from synfog_usd.scene import testing
+
+RATE, WIDTH, HEIGHT = 100.0, 160, 90
+GRAPH = camera.load_graph(Path("phone"))
+
+
+def shot(medium, *, distance_m=8.0, wall=(1.0, 2.0, 3.0), air=(30.0, 20.0, 10.0)):
+    """A wall of one radiance in an even medium that sends another, without noise."""
+    scene = testing.scene(
+        {}, [FogVolume("/Fog", testing.box(200.0), medium)], width_px=WIDTH, height_px=HEIGHT, fov_x_deg=50.0
+    )
+    through = np.full((HEIGHT, WIDTH), math.exp(-medium.sigma_t_per_m * distance_m))
+    surface = (through[:, :, None] * np.array(wall)).astype(np.float32)
+    airlight = ((1.0 - through[:, :, None]) * np.array(air)).astype(np.float32)
+    plane, ids = np.full((HEIGHT, WIDTH), distance_m), np.zeros((HEIGHT, WIDTH), int)
+    rendered = Rendered(
+        radiance=Image(surface + airlight, ("R", "G", "B"), Quantity.RADIANCE),
+        aovs=Aovs(plane, plane, np.zeros((HEIGHT, WIDTH, 3)), ids, ids, through),
+        relative_error=0.0,
+        mottle=None,
+        components={"surface": surface, "airlight_single": airlight},
+        error=None,
+        groups={},
+        model="path",
+        why="",
+        warnings=(),
+        samples=1.0,
+        under_target=None,
+    )
+    return RenderedShot(Shot("sky", "rain", None, None), scene, None, None, rendered, None, {}, {})
+
+
+def rain():
+    return FogMedium(rain_extinction(RATE, 1.0), falls=(("rain", RATE),))
+
+
+def test_the_mean_over_drops_is_the_mediums_own_picture():
+    """Near drops are taken out of the medium: the mean of many falls is the picture without them, to 1 % of what they
+    change of it.
+    """
+    before = shot(rain())
+    sizes, view = SizeClasses.of_rain(RATE), Projection.of(before.scene.camera)
+    tau = float(sizes.optical_depth(reach_of(sizes, view), np.array(8.0)))
+    assert tau > 0.005
+    means = np.array(
+        [
+            with_drops(before, GRAPH, FallTime(0.0, seed)).rendered.radiance.pixels.mean(axis=(0, 1), dtype=float)
+            for seed in range(24)
+        ]
+    )
+    wanted = before.rendered.radiance.pixels.mean(axis=(0, 1), dtype=float)
+    error = means.std(axis=0, ddof=1) / math.sqrt(len(means))
+    most = tau * np.abs(np.array((30.0, 20.0, 10.0)) - (1.0, 2.0, 3.0))  # by which drops change the wall
+    assert np.all(4.0 * error < 0.1 * most)
+    assert np.all(np.abs(means.mean(axis=0) - wanted) < 0.01 * most + 4.0 * error)
+
+
+def test_drops_are_bright_before_what_is_dark_and_add_up_as_layers():
+    """Before a wall darker than the air drops are lighter than the mean, never darker; layers are the picture."""
+    before = shot(rain())
+    after = with_drops(before, GRAPH, FallTime(0.0, 1)).rendered
+    change = after.radiance.pixels - before.rendered.radiance.pixels
+    assert change.max() > 4.0 * -change.min() > 0.0
+    np.testing.assert_allclose(sum(after.components.values()), after.radiance.pixels, rtol=1e-5)
+
+
+def test_a_frame_and_a_seed_decide_which_drops_there_are():
+    """The same moment gives the same bytes; another moment or seed others."""
+    before = shot(rain())
+    one, same, later, other = (
+        with_drops(before, GRAPH, FallTime(*moment)).rendered.radiance.pixels.tobytes()
+        for moment in ((1.0, 3), (1.0, 3), (1.04, 3), (1.0, 4))
+    )
+    assert one == same
+    assert len({one, later, other}) == 3
+
+
+def test_fog_alone_has_no_drops():
+    """A medium in which nothing falls gives the very shot."""
+    before = shot(FogMedium.from_visibility(150.0))
+    assert with_drops(before, GRAPH, FallTime(0.0, 0)) is before
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
+def test_a_streak_is_exposure_times_speed_before_the_lens(velocity):
+    """2 mm at 5 m falls 6.49 m/s (Gunn and Kinzer): f v t / z pixels, and from a car runs away from where it goes."""
+    scene = shot(rain()).scene
+    view = Projection.of(replace(scene.camera, velocity_m_s=velocity))
+    place = np.array([[0.5, 5.0, 0.0]])
+    drops = Drops(place, np.array([[0.0, 0.0, -6.49]]), np.array([2e-3]), np.ones(1))
+    streaks = streaks_of(drops, view, 0.01, 0.002, math.inf)
+    focal_px = WIDTH / 2 / math.tan(math.radians(25.0))
+    across, down = streaks.speed_px_s[0] * 0.01
+    assert down == pytest.approx(focal_px * 6.49 * 0.01 / 5.0, rel=0.02)
+    assert across == pytest.approx(focal_px * 0.5 * velocity[1] * 0.01 / 25.0, rel=0.02, abs=1e-9)
+    assert streaks.blur_px[0] == pytest.approx(focal_px * 0.002 / 5.0, rel=0.02)
+    assert streaks.area_px[0] == pytest.approx(math.pi / 4 * (focal_px * 2e-3 / 5.0) ** 2, rel=0.02)
