@@ -18,7 +18,9 @@ from synfog_usd.base.errors import ParameterError
 MAX_VOXELS = 1 << 26
 """400^3, or 256 MiB."""
 
-_GAUSS = 0.5 - 0.5 / np.sqrt(3.0)
+GAUSS = 0.5 - 0.5 / 3.0**0.5
+"""First of two places on a stretch, as a share of it, whose mean is that of a cubic; the other is as far from its end."""
+
 _AT_ONCE = 1 << 22
 
 
@@ -83,7 +85,7 @@ class DensityGrid:
         ray, piece = np.nonzero(widths)
         width, start = widths[ray, piece], ends[ray, piece]
         total = np.zeros(len(ray))
-        for share in (_GAUSS, 1.0 - _GAUSS):
+        for share in (GAUSS, 1.0 - GAUSS):
             points = begin[ray] + (start + share * width)[:, None] * along[ray]
             total += ndimage.map_coordinates(self.values, points.T[::-1], output=np.float64, order=1, mode="nearest")
         return np.asarray(np.bincount(ray, weights=0.5 * width * total, minlength=len(begin)), dtype=np.float64)

@@ -163,6 +163,11 @@ class FogMedium:
         return -math.log(self.contrast) / self.sigma_t_per_m if self.sigma_t_per_m > 0 else math.inf
 
     @property
+    def mean_sigma_t_per_m(self) -> float:
+        """Extinction [1/m] at the base height, or a grid's mean."""
+        return self.sigma_t_per_m * (1.0 if self.grid is None else float(self.grid.values.mean(dtype=np.float64)))
+
+    @property
     def phase_function(self) -> Phase:
         """The phase function, Henyey-Greenstein's where no other was given."""
         return self.phase if self.phase is not None else HenyeyGreenstein(self.g)

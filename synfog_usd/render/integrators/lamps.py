@@ -12,7 +12,6 @@ from synfog_usd.render import backend
 from synfog_usd.render.film.accumulator import Moments
 from synfog_usd.render.integrators.next_event import LEAST_SHARP, mis_weight
 from synfog_usd.render.lights.importance import Gloss
-from synfog_usd.render.media.medium import transmittance
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import is_finite
 from synfog_usd.render.surface import for_lamps, lit_from
@@ -71,8 +70,8 @@ def trace_direct(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, cou
         group = of.light_groups.of(emitter, hit)
         light = bands.even(weight) * of.light_groups.light(emitter.eval(si, hit), group) * area
         if dr.hint(of.foggy, mode="scalar"):
-            tau = of.medium.optical_depth(ray.o, ray.d, 0.0, si.t)
-            light *= transmittance(tau)[0]
+            through, tau = of.medium.transmittance(ray.o, ray.d, 0.0, si.t, sampler, hit)
+            light *= through
             if dr.hint(bands.coloured, mode="scalar"):
                 light *= bands.fade(tau)
         light = dr.select(hit, light, bands.black())
@@ -107,8 +106,9 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
         si = tree.ray_intersect(ray, mi.RayFlags.All, mi.Bool(True), mi.Bool(True))
         hit, throughput = si.is_valid(), bands.even(view_weight)
         if dr.hint(of.foggy, mode="scalar"):
-            tau = of.medium.optical_depth(ray.o, ray.d, 0.0, dr.select(hit, si.t, 0.0))
-            throughput, _ = of.split_camera_segment(False, tau, throughput, mi.Float(1.0), sampler, hit)
+            length = dr.select(hit, si.t, 0.0)
+            through, tau = of.medium.transmittance(ray.o, ray.d, 0.0, length, sampler, hit)
+            throughput, _ = of.split_camera_segment(through, throughput, mi.Float(1.0), sampler, hit)
             if dr.hint(bands.coloured, mode="scalar"):
                 throughput *= bands.fade(tau)
         hit &= dr.max(throughput) > 0.0
@@ -129,14 +129,14 @@ def trace_lit(of: FogPath, asks: NextEvent, pixel: UInt32, first: UInt32, count:
         reflected, pdf = bsdf.eval_pdf(context, lit_from(si, lamp, alone, mi.Float(0.0)), si.to_local(towards), shines)
         weight = dr.select(alone | (pdf < LEAST_SHARP), 1.0, mis_weight(lamp_pdf, pdf))
         light = throughput * bands.reflectance(reflected, reading) * of.light_groups.light(colour, group)
-        free, reach_lamp = asks.shadow_transmittance(si.p, si.n, lamp, shines & dr.any(light != 0.0))
+        free, reach_lamp = asks.shadow_transmittance(si.p, si.n, lamp, sampler, shines & dr.any(light != 0.0))
         light = dr.select(free, light * (weight * reach_lamp), black)
         path, aovs, sums = of.light_groups.add_to_path(path, aovs, sums, light, once, group)
 
         # ---- A lit face that a lobe's direction meets
         if dr.hint(asks.lit_faces is not None, mode="scalar"):
             onward = throughput * bands.reflectance(gain, reading)
-            light, group = asks.face_on_lobe(si, bounce, onward, smooth, hit, gloss, picks.total)
+            light, group = asks.face_on_lobe(si, bounce, onward, smooth, hit, gloss, picks.total, sampler)
             path, aovs, sums = of.light_groups.add_to_path(path, aovs, sums, light, once, group)
         lost += dr.select(is_finite(path), mi.UInt32(0), mi.UInt32(1))
         number += 1

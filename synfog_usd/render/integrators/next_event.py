@@ -24,7 +24,7 @@ from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.medium import Medium, transmittance
+from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.surface import lit_from
 
 if TYPE_CHECKING:
@@ -198,8 +198,10 @@ class NextEvent:
         """A lamp's light that the fog scatters once into a segment, and the lamp's group."""
         where, lamp, colour, group = self.lights.along(ray.o, ray.d, near, stop, self.medium, sampler, active, picks)
         free, reach_lamp = self.shadow_transmittance(
-            where, backend.mitsuba().Normal3f(0.0), lamp, active & (dr.max(colour) > 0.0)
+            where, backend.mitsuba().Normal3f(0.0), lamp, sampler, active & (dr.max(colour) > 0.0)
         )
+        if self.medium.grids:
+            reach_lamp *= self.medium.gap(ray.o, ray.d, near, dr.norm(where - ray.o), sampler, free)
         light = dr.select(free, throughput * self.groups.light(colour, group) * reach_lamp, self.bands.black())
         if self.bands.coloured:
             light *= self.bands.scattered() * self.bands.fade(
@@ -265,7 +267,9 @@ class NextEvent:
         mi, black = backend.mitsuba(), self.bands.black()
         normal = mi.Vector3f(si.n)
         lamp, colour, group, pdf = self.lights.at(si.p, lambda way: dr.abs(dr.dot(normal, way)) + 1e-3, sampler, smooth)
-        free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, smooth & (dr.max(colour) > 0.0))
+        free, reach_lamp = self.shadow_transmittance(
+            si.p, si.n, lamp, sampler, smooth & (dr.max(colour) > 0.0)
+        )
         answering = lit_from(si, lamp, pdf <= 0.0, spread)
         reflected = bsdf.eval(mi.BSDFContext(), answering, si.to_local(mi.Vector3f(dr.normalize(lamp - si.p))), free)
         light = throughput * self.bands.reflectance(reflected, reading) * self.groups.light(colour, group) * reach_lamp
@@ -327,6 +331,7 @@ class NextEvent:
         hit: Bool,
         gloss: Gloss,
         weighed: Float,
+        sampler: Sobol,
     ) -> tuple[SampledSpectrum, UInt32]:
         """Light of a lit face that a lobe's direction meets, by the power heuristic, and its group.
 
@@ -356,14 +361,15 @@ class NextEvent:
         group = self.groups.of(emitter, on_lamp)
         light = onward * (weight * through) * self.groups.light(emitter.eval(end, on_lamp), group)
         if self.foggy:
-            tau = self.medium.optical_depth(way.o, way.d, 0.0, dr.select(on_lamp, dr.norm(end.p - way.o), 0.0))
-            light *= transmittance(tau)[0]
+            length = dr.select(on_lamp, dr.norm(end.p - way.o), 0.0)
+            clear, tau = self.medium.transmittance(way.o, way.d, 0.0, length, sampler, on_lamp)
+            light *= clear
             if self.bands.coloured:
                 light *= self.bands.fade(tau)
         return dr.select(on_lamp, light, self.bands.black()), group
 
     def shadow_transmittance(
-        self, place: Point3f, normal: Normal3f, light: Point3f, active: Bool
+        self, place: Point3f, normal: Normal3f, light: Point3f, sampler: Sobol, active: Bool
     ) -> tuple[Bool, Float | SampledSpectrum]:
         """(whether nothing but panes stands between a point and a light, transmittance of these and of the fog between:
         one for all bands, or one each).
@@ -380,8 +386,9 @@ class NextEvent:
         if self.foggy:
             towards = mi.Vector3f(light - place)
             length = dr.norm(towards)
-            tau = self.medium.optical_depth(place, towards / dr.maximum(length, 1e-12), 0.0, length)
-            through *= dr.exp(-tau)
+            way = towards / dr.maximum(length, 1e-12)
+            clear, tau = self.medium.transmittance(place, way, 0.0, length, sampler, free)
+            through *= clear
             if self.bands.coloured:
                 through = through * self.bands.fade(tau)
         return free, through

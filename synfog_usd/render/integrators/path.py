@@ -60,7 +60,7 @@ from synfog_usd.render.integrators.tasks import Tasks
 from synfog_usd.render.lights.importance import Gloss
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.load import MitsubaScene
-from synfog_usd.render.media.medium import Medium, transmittance
+from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.sobol import Sobol
 from synfog_usd.render.spectra.bands import is_finite
 from synfog_usd.render.surface import MOST_SPREAD, blur, lit_from, seen_from
@@ -244,7 +244,7 @@ class FogPath:
             if dr.hint(self.limited, mode="scalar"):
                 may_scatter &= scattered < self.truncation.scatterings
             u_flight = sampler.next_1d(active)
-            near, far, flight = self.sample_flight(ray, u_flight, may_scatter)
+            near, far, flight = self.sample_flight(ray, u_flight, sampler, may_scatter)
 
             # ==== 2. What the segment meets
             segment = mi.Ray3f(ray)
@@ -257,19 +257,21 @@ class FogPath:
             end = dr.select(surface_hit, si.t, dr.inf)
 
             # ==== 3. First segment: it is split, and this estimator follows one side of it
-            tau = mi.Float(0.0)  # of the segment as far as its end
             if dr.hint(self.foggy, mode="scalar"):
-                tau = medium.optical_depth_inside(ray.o, ray.d, near, dr.maximum(dr.minimum(end, far), near))
+                fog_end, share, place = dr.maximum(dr.minimum(end, far), near), mi.Float(1.0), mi.Float(dr.inf)
                 if dr.hint(self.limited, mode="scalar"):
-                    throughput = dr.select(
-                        active & ~at_eye & ~may_scatter, throughput * transmittance(tau)[0], throughput
-                    )
-                throughput, scale = self.split_camera_segment(inscattered, tau, throughput, scale, sampler, at_eye)
-            if dr.hint(inscattered, mode="scalar"):
-                surface_hit &= ~at_eye
-                some, place = self.sample_camera_segment(ray, near, stop, tau, u_flight, at_eye)
-                flight = dr.select(some, place, flight)
-                medium_scattered |= some
+                    lost_way = active & ~at_eye & ~may_scatter
+                    through = medium.transmittance_inside(ray.o, ray.d, near, fog_end, sampler, lost_way)
+                    throughput = dr.select(lost_way, throughput * through, throughput)
+                if dr.hint(inscattered, mode="scalar"):
+                    share, place = medium.sample_inside(ray.o, ray.d, near, fog_end, u_flight, sampler, at_eye)
+                    some = at_eye & (share > 0.0)
+                    surface_hit &= ~at_eye
+                    flight = dr.select(some, place, flight)
+                    medium_scattered |= some
+                else:
+                    share = medium.transmittance_inside(ray.o, ray.d, near, fog_end, sampler, at_eye)
+                throughput, scale = self.split_camera_segment(share, throughput, scale, sampler, at_eye)
             carries = dr.max(throughput) > 0.0  # Russian roulette of the camera's segment ends the others here
             surface_hit, medium_scattered = surface_hit & carries, medium_scattered & carries
 
@@ -353,7 +355,7 @@ class FogPath:
                 weight = dr.select(chosen.alone, 1.0, mis_weight(chosen.pdf, pdf))
                 light = throughput * value * self.light_groups.light(chosen.power, chosen.group)
                 shines = chosen.exists & dr.any(light != 0.0)  # a light behind the surface is worth no ray
-                free, reach_light = asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, shines)
+                free, reach_light = asks.shadow_transmittance(vertex.p, vertex.n, chosen.place, sampler, shines)
                 light = dr.select(free, light * (weight * reach_light), black)
                 path, aovs, sums = self.light_groups.add_to_path(path, aovs, sums, light, scattered, chosen.group)
 
@@ -428,40 +430,25 @@ class FogPath:
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
-    def sample_flight(self, ray: Ray3f, u: Float, may_scatter: Bool) -> tuple[Float, Float, Float]:
-        """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not:
-        density in proportion to transmittance.
-        """
+    def sample_flight(
+        self, ray: Ray3f, u: Float, sampler: Sobol, may_scatter: Bool
+    ) -> tuple[Float, Float, Float]:
+        """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not."""
         mi = backend.mitsuba()
         if not self.foggy:
             return mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
         near, far = self.medium.intersect(ray.o, ray.d)
-        distance = self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u), near, far)
-        return near, far, dr.select(may_scatter & (distance < far), distance, dr.inf)
+        return near, far, self.medium.sample_flight(ray.o, ray.d, near, far, u, sampler, may_scatter)
 
     def split_camera_segment(
-        self, inscattered: bool, tau: Float, throughput: SampledSpectrum, scale: Float, sampler: Sobol, at_eye: Bool
+        self, share: Float, throughput: SampledSpectrum, scale: Float, sampler: Sobol, at_eye: Bool
     ) -> tuple[SampledSpectrum, Float]:
-        """(3) Throughput of the side of the camera's segment that is followed, T or 1 - T. A faint
+        """(3) Throughput of the side of the camera's segment that is followed, whose `share` is T or 1 - T. A faint
         one faces Russian roulette, and its weight is the new scale.
         """
-        through, opaque = transmittance(tau)
-        share = opaque if inscattered else through
         chance = dr.minimum(4.0 * share, 1.0)
         share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
-
-    def sample_camera_segment(
-        self, ray: Ray3f, near: Float, stop: Float, tau: Float, u: Float, at_eye: Bool
-    ) -> tuple[Bool, Float]:
-        """(3) Where the fog scatters the camera's segment, which it does for certain: in proportion to transmittance x
-        extinction.
-        """
-        opaque = transmittance(tau)[1]
-        some = at_eye & (opaque > 0.0)
-        if self.truncation.scatterings == 0:
-            some &= False
-        return some, self.medium.sample_distance(ray.o, ray.d, -dr.log(1.0 - u * opaque), near, stop)
 
     def roulette(self, throughput: SampledSpectrum, scale: Float, depth: UInt32) -> Float:
         """(11) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little."""
@@ -478,6 +465,6 @@ def _rr_prob(medium: Medium) -> float:
     thickest = 0.0
     for volume in medium.volumes:
         across = 2.0 * np.linalg.norm(volume.boundary.to_world[:3, :3], axis=0).min()
-        thickest = max(thickest, volume.medium.sigma_t_per_m * across)
+        thickest = max(thickest, volume.medium.mean_sigma_t_per_m * across)
     g = medium.volumes[0].medium.phase_function.mean_cosine if medium.volumes else 0.0
     return 1.0 - 0.5 / (10.0 + (1.0 - g) * thickest**2)

@@ -100,7 +100,7 @@ class Importance:
         self.tables = backend.floats(np.concatenate([table.ravel() for table in (*sent, *spread)]))
         self.spread = dr.opaque(mi.UInt32, SIDE**2 * len(sent))
         self.count = dr.opaque(mi.UInt32, len(rows))
-        self.sigma_t = medium.media[0].sigma_t if medium.foggy else dr.opaque(mi.Float, 0.0)
+        self.sigma_t = medium.media[0].mean_sigma_t if medium.foggy else dr.opaque(mi.Float, 0.0)
         self.width = lights.width
 
     def along(self, index: UInt32, origin: Point3f, direction: Vector3f, begin: Float, end: Float) -> Float:

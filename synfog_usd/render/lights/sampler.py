@@ -182,7 +182,7 @@ class LightSampler:
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
                 strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction))
                 value = row.colour * (strength * through * medium.scattering(place) / square)
-                dimmed = mi.luminance(value) * dr.exp(-medium.media[0].sigma_t * dr.sqrt(square))
+                dimmed = mi.luminance(value) * dr.exp(-medium.media[0].mean_sigma_t * dr.sqrt(square))
                 candidate = Candidate(place, lamp, value, row.group, dimmed)
                 reservoir = reservoir.update(candidate, density * probability, sampler, active)
             index += 1

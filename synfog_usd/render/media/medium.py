@@ -1,9 +1,10 @@
-"""Fog as a kernel sees it: optical depth in closed form, flights by its inverse.
+"""Fog as a kernel sees it: optical depth in closed form, flights by its inverse; density grids by tracking.
 
 Takes fog volumes; gives, for rays of the wavefront, how much fog lies on a stretch
 and where the fog would scatter a path.  No geometry is traced for it.  Boxes and
-balls, uniform or exponential, nested as deep as one likes: each adds what it has
-over the fog around it, on the stretch that it covers.
+balls, nested as deep as one likes.  Even fog, uniform or exponential, adds what it has
+over the even fog around it, on the stretch that it covers.  A grid (`media.grid`) stands apart: flights
+through all of them end where the nearest ends, and their transmittances multiply.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ import drjit as dr
 
 from synfog_usd.fog import FogVolume
 from synfog_usd.render import backend
+from synfog_usd.render.media.grid import ANY, FAINT, GridTracker
 from synfog_usd.render.media.phases import kernel_phase
+from synfog_usd.render.sampling.sobol import unit
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
     from mitsuba import Point3f, Vector3f
+
+    from synfog_usd.render.sampling.sobol import Sobol
 
 BISECTIONS = 30
 """Halvings of a stretch until its optical depth fits: 1 km to a micrometre, below what float32 holds."""
@@ -33,8 +38,6 @@ def unsupported_fog(volumes: Sequence[FogVolume]) -> str:
     for volume in volumes:
         if volume.boundary.kind == "mesh":
             return f"the boundary {volume.path} is a mesh, not a box or a sphere"
-        if volume.medium.profile == "grid":
-            return f"the fog {volume.path} is a grid"
     if len({volume.medium.phase_function for volume in volumes}) > 1:
         return f"the fogs {', '.join(volume.path for volume in volumes)} scatter by different phase functions"
     return ""
@@ -57,6 +60,11 @@ class Medium:
         self.parents = [None if parent is None else self.media[parent] for parent in around]
         self.order = sorted(range(len(self.volumes)), key=lambda place: _nesting(around, place))
         self.single = len(self.volumes) == 1 and self.volumes[0].medium.profile == "uniform"
+        self.grids = [medium for medium in self.media if medium.grid is not None]
+        self.even = len(self.grids) < len(self.media)
+        for medium, parent in zip(self.media, self.parents, strict=True):
+            if parent is not None and parent.grid is not None:
+                parent.holes.append(medium)
         if self.foggy:
             self.phase = kernel_phase(self.volumes[0].medium.phase_function)
             self.one_albedo = len({volume.medium.albedo for volume in self.volumes}) == 1
@@ -72,34 +80,77 @@ class Medium:
             far = dr.select(crosses, dr.maximum(far, leaves), far)
         return near, dr.maximum(far, near)
 
-    def optical_depth(self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float) -> Float:
-        """Optical depth between two distances [m] on a ray of unit direction."""
+    def optical_depth(
+        self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float, *, grids: bool = True
+    ) -> Float:
+        """Optical depth between two distances [m] on a ray of unit direction, without noise.
+
+        Args:
+            grids: whether density grids count, of which each voxel on the way is looked at.
+        """
         total = backend.mitsuba().Float(0.0)
         for medium, parent in zip(self.media, self.parents, strict=True):
-            near, far = medium.intersect(origin, direction)
-            near, far = dr.maximum(near, begin), dr.minimum(far, end)
-            far = dr.maximum(far, near)
-            total += medium.optical_depth(origin, direction, near, far)
-            if parent is not None:
+            near, far = medium.interval(origin, direction, begin, end)
+            if medium.grid is None:
+                total += medium.optical_depth(origin, direction, near, far)
+            elif grids:
+                total += medium.grid.optical_depth(origin, direction, near, far)
+            if parent is not None and parent.grid is None:
                 total -= parent.optical_depth(origin, direction, near, far)
+            elif parent is not None and parent.grid is not None and grids:
+                total -= parent.grid.optical_depth(origin, direction, near, far)
         return dr.maximum(total, 0.0)
 
     def optical_depth_inside(self, origin: Point3f, direction: Vector3f, begin: Float, end: Float) -> Float:
-        """The same for a stretch that is known to be in fog all along: one uniform fog needs no look for its edge."""
-        return (
-            self.media[0].sigma_t * (end - begin) if self.single else self.optical_depth(origin, direction, begin, end)
-        )
+        """The same for a stretch that is known to be in fog all along: one uniform fog needs no look for its edge.
+
+        A grid counts as its mean: for a choice between lights, which `gap` makes good.
+        """
+        if self.single:
+            return self.media[0].sigma_t * (end - begin)
+        tau = self.optical_depth(origin, direction, begin, end, grids=False)
+        return tau + self._mean_depth(origin, direction, begin, end) if self.grids else tau
+
+    def transmittance(
+        self,
+        origin: Point3f,
+        direction: Vector3f,
+        begin: Float | float,
+        end: Float | float,
+        sampler: Sobol,
+        active: Bool,
+    ) -> tuple[Float, Float]:
+        """Transmittance between two distances [m], in closed form; through grids unbiased.
+
+        Returns:
+            it, and the optical depth of what is no grid.
+        """
+        tau = self.optical_depth(origin, direction, begin, end, grids=False)
+        through = dr.exp(-tau)
+        if self.grids:
+            through *= self._through_grids(origin, direction, begin, end, sampler, active)
+        return through, tau
+
+    def gap(
+        self, origin: Point3f, direction: Vector3f, begin: Float, end: Float, sampler: Sobol, active: Bool
+    ) -> Float:
+        """Transmittance of a stretch, unbiased, over what `optical_depth_inside` says of it."""
+        through = self._through_grids(origin, direction, begin, end, sampler, active)
+        return through * dr.exp(self._mean_depth(origin, direction, begin, end))
 
     def sample_distance(
         self, origin: Point3f, direction: Vector3f, optical_depth: Float, near: Float, far: Float
     ) -> Float:
-        """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`."""
+        """Distance [m] at which the optical depth from `near` on is `optical_depth`; at most `far`.  Of even fog."""
         if self.single:
             return dr.minimum(near + optical_depth / self.media[0].sigma_t, far)
 
+        def depth(end: Float) -> Float:
+            return self.optical_depth(origin, direction, near, end, grids=False)
+
         def halved(step: UInt32 | int, low: Float, high: Float) -> tuple[UInt32 | int, Float, Float]:
             middle = 0.5 * (low + high)
-            short = self.optical_depth(origin, direction, near, middle) < optical_depth
+            short = depth(middle) < optical_depth
             return step + 1, dr.select(short, middle, low), dr.select(short, high, middle)
 
         state: tuple[Any, Any, Any] = (0, near, far)
@@ -109,7 +160,87 @@ class Medium:
         else:
             state = dr.while_loop((backend.mitsuba().UInt32(0), near, far), lambda step, *_: step < BISECTIONS, halved)
         _, low, high = state
-        return dr.select(self.optical_depth(origin, direction, near, far) > optical_depth, 0.5 * (low + high), far)
+        return dr.select(depth(far) > optical_depth, 0.5 * (low + high), far)
+
+    def sample_flight(
+        self, origin: Point3f, direction: Vector3f, near: Float, far: Float, u: Float, sampler: Sobol, active: Bool
+    ) -> Float:
+        """Distance [m] at which fog between `near` and `far` scatters a ray, infinite where it does not: density in
+        proportion to transmittance x extinction.
+
+        Args:
+            u: number in [0, 1) that draws it; a grid draws more of them from `sampler`.
+        """
+        flight = backend.mitsuba().Float(dr.inf)
+        if self.even:
+            distance = self.sample_distance(origin, direction, -dr.log(1.0 - u), near, far)
+            flight = dr.select(active & (distance < far), distance, flight)
+        for number, medium in enumerate(self.grids):
+            begin, end = medium.interval(origin, direction, near, dr.minimum(far, flight))
+            key = sampler.stream()
+            first = u if number == 0 and not self.even else unit(key)
+            assert medium.grid is not None
+            place = medium.grid.track(
+                origin, direction, begin, end, first, key, active, faint=ANY, holes=medium.holes
+            )[1]
+            flight = dr.minimum(flight, place)
+        return flight
+
+    def transmittance_inside(
+        self, origin: Point3f, direction: Vector3f, near: Float, end: Float, sampler: Sobol, active: Bool
+    ) -> Float:
+        """Transmittance of a stretch that is known to be in fog all along."""
+        if self.grids:
+            return self.transmittance(origin, direction, near, end, sampler, active)[0]
+        return transmittance(self.optical_depth_inside(origin, direction, near, end))[0]
+
+    def sample_inside(
+        self, origin: Point3f, direction: Vector3f, near: Float, end: Float, u: Float, sampler: Sobol, active: Bool
+    ) -> tuple[Float, Float]:
+        """What a stretch in fog scatters, 1 - its transmittance without cancellation, and where [m]: drawn by `u` in
+        proportion to transmittance x extinction.  Of grids both are unbiased as a pair.
+        """
+        if not self.grids:
+            opaque = transmittance(self.optical_depth_inside(origin, direction, near, end))[1]
+            return opaque, self.sample_distance(origin, direction, -dr.log(1.0 - u * opaque), near, end)
+        if len(self.media) > 1:
+            place = self.sample_flight(origin, direction, near, end, u, sampler, active)
+            return dr.select(dr.isfinite(place), 1.0, 0.0), place
+        grid = self.media[0].grid
+        assert grid is not None
+        key = sampler.stream()
+        through, place = grid.track(origin, direction, near, end, u, key, active, faint=FAINT, holes=())
+        return 1.0 - through, place
+
+    def _through_grids(
+        self,
+        origin: Point3f,
+        direction: Vector3f,
+        begin: Float | float,
+        end: Float | float,
+        sampler: Sobol,
+        active: Bool,
+    ) -> Float:
+        through = backend.mitsuba().Float(1.0)
+        for medium in self.grids:
+            near, far = medium.interval(origin, direction, begin, end)
+            key = sampler.stream()
+            assert medium.grid is not None
+            through *= medium.grid.track(
+                origin, direction, near, far, unit(key), key, active & (through > 0.0), faint=FAINT, holes=medium.holes
+            )[0]
+        return through
+
+    def _mean_depth(
+        self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float
+    ) -> Float:
+        """Optical depth of a stretch if all grids were even."""
+        total = backend.mitsuba().Float(0.0)
+        for medium in self.grids:
+            near, far = medium.interval(origin, direction, begin, end)
+            assert medium.grid is not None
+            total += medium.grid.mean_sigma_t * (far - near)
+        return total
 
     def scattering(self, place: Point3f) -> Float:
         """Scattering coefficient [1/m] at points in fog."""
@@ -145,7 +276,12 @@ def _nesting(around: Sequence[int | None], place: int) -> int:
 
 
 class _Volume:
-    """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
+    """One volume's numbers, out of the compiler's sight so that others need no new kernel.
+
+    Attributes:
+        grid: its densities, or None.
+        holes: volumes in a grid, where it has nothing.
+    """
 
     def __init__(self, volume: FogVolume, scale: float) -> None:
         mi = backend.mitsuba()
@@ -158,6 +294,9 @@ class _Volume:
             dr.opaque(mi.Float, medium.albedo),
         )
         self.exponential = medium.profile == "exponential"
+        self.holes: list[_Volume] = []
+        self.grid = None if medium.grid is None else GridTracker(volume, self.sigma_t)
+        self.mean_sigma_t = self.sigma_t if self.grid is None else self.grid.mean_sigma_t
         if self.exponential:
             self.base, self.scale = (
                 dr.opaque(mi.Float, medium.base_height_m),
@@ -185,7 +324,17 @@ class _Volume:
         near = dr.maximum(near, 0.0)
         return near, dr.maximum(far, near)
 
+    def interval(
+        self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float
+    ) -> tuple[Float, Float]:
+        """The part of a stretch that is in the volume; without length where none is."""
+        near, far = self.intersect(origin, direction)
+        near, far = dr.maximum(near, begin), dr.minimum(far, end)
+        return near, dr.maximum(far, near)
+
     def extinction(self, place: Point3f) -> Float:
+        if self.grid is not None:
+            return self.grid.extinction(place)
         if not self.exponential:
             return self.sigma_t
         return self.sigma_t * dr.exp(-dr.maximum(place.z - self.base, 0.0) / self.scale)

@@ -54,12 +54,17 @@ class Sobol:
     def next_1d(self, active: Bool | bool = True) -> Float:
         """A number in [0, 1)."""
         self.key = self.key + 1
-        return _unit(_scrambled(_radical(_shuffled(self.index, hashed(self.key, 0))), hashed(self.key, 1)))
+        return unit(_scrambled(_radical(_shuffled(self.index, hashed(self.key, 0))), hashed(self.key, 1)))
 
     def next_2d(self, active: Bool | bool = True) -> Point2f:
         """A point in [0, 1)^2."""
         self.key = self.key + 1
         return point(self.index, self.key)
+
+    def stream(self) -> UInt32:
+        """A key for as many further numbers as one likes, by `hashed`: independent ones, not spread evenly."""
+        self.key = self.key + 1
+        return hashed(self.key, self.index)
 
     def restarted(self, again: Bool, fresh: Sobol) -> Sobol:
         """`fresh` where `again`, else as it is."""
@@ -73,7 +78,7 @@ def point(index: UInt32, key: UInt32) -> Point2f:
     mi = backend.mitsuba()
     index = _shuffled(index, hashed(key, 0))
     return mi.Point2f(
-        _unit(_scrambled(_radical(index), hashed(key, 1))), _unit(_scrambled(second(index), hashed(key, 2)))
+        unit(_scrambled(_radical(index), hashed(key, 1))), unit(_scrambled(second(index), hashed(key, 2)))
     )
 
 
@@ -118,6 +123,7 @@ def hashed(key: UInt32, number: UInt32 | int) -> UInt32:
     return bits ^ (bits >> 16)
 
 
-def _unit(bits: UInt32) -> Float:
+def unit(bits: UInt32) -> Float:
+    """A number in [0, 1)."""
     mi = backend.mitsuba()
     return mi.Float(bits >> 8) * (1.0 / (1 << 24))
