@@ -19,7 +19,7 @@ MAX_VOXELS = 1 << 26
 """400^3, or 256 MiB."""
 
 GAUSS = 0.5 - 0.5 / 3.0**0.5
-"""First of two places on a stretch, as a share of it, whose mean is that of a cubic; the other is as far from its end."""
+"""First of two places on a stretch, as a share of it, whose mean is that of a cubic; the other is its mirror image."""
 
 _AT_ONCE = 1 << 22
 
@@ -31,11 +31,14 @@ class DensityGrid:
     Attributes:
         values: (Z, Y, X) float32 [1], 0 to 1, of the voxels; in the outer half of
             an outer voxel its value goes on.  Copied, and not to be written.
+        period_m: edge [m] of a cube along the world's axes that repeats for ever; None for a grid that fills its
+            volume's box.  Its densities may be above 1, and each axis has a power of 2 of voxels.
 
     Two of them are the same only where they are one object.
     """
 
     values: npt.NDArray[np.float32]
+    period_m: float | None = None
 
     def __post_init__(self) -> None:
         densities = np.asarray(self.values)
@@ -44,7 +47,7 @@ class DensityGrid:
                 f"a density grid of shape {densities.shape} and type {densities.dtype}; it has three axes (Z, Y, X), "
                 f"real numbers, 1 to {MAX_VOXELS} voxels"
             )
-        wrong = ~((densities >= 0.0) & (densities <= 1.0))
+        wrong = ~((densities >= 0.0) & (densities <= (1.0 if self.period_m is None else np.inf)))
         if wrong.any():
             place = tuple(int(index) for index in np.argwhere(wrong)[0])
             raise ParameterError(
@@ -65,7 +68,8 @@ class DensityGrid:
         """
         counts = np.array(self.values.shape[::-1], dtype=np.float64)
         begin, end = ((points + 1.0) / 2.0 * counts - 0.5 for points in (begin, end))  # centres are whole numbers
-        step = max(1, _AT_ONCE // (int(counts.sum()) + 2))
+        planes = counts.max() if self.period_m is None else np.abs(end - begin).max(initial=0.0)
+        step = max(1, _AT_ONCE // (3 * int(planes) + 8))
         return np.concatenate(
             [
                 np.zeros(0),
@@ -79,13 +83,16 @@ class DensityGrid:
         for axis, count in enumerate(self.values.shape[::-1]):
             run = along[:, axis, None]
             planes = np.arange(count) - begin[:, axis, None]
+            if self.period_m is not None:
+                low = np.floor(np.minimum(begin[:, axis], end[:, axis]))[:, None]
+                planes = low + np.arange(int(np.abs(run).max()) + 2) - begin[:, axis, None]
             cuts.append(np.clip(np.divide(planes, run, out=np.zeros_like(planes), where=run != 0.0), 0.0, 1.0))
         ends = np.sort(np.hstack(cuts), axis=1)
         widths = np.diff(ends, axis=1)
         ray, piece = np.nonzero(widths)
         width, start = widths[ray, piece], ends[ray, piece]
-        total = np.zeros(len(ray))
+        total, mode = np.zeros(len(ray)), "nearest" if self.period_m is None else "grid-wrap"
         for share in (GAUSS, 1.0 - GAUSS):
             points = begin[ray] + (start + share * width)[:, None] * along[ray]
-            total += ndimage.map_coordinates(self.values, points.T[::-1], output=np.float64, order=1, mode="nearest")
+            total += ndimage.map_coordinates(self.values, points.T[::-1], output=np.float64, order=1, mode=mode)
         return np.asarray(np.bincount(ray, weights=0.5 * width * total, minlength=len(begin)), dtype=np.float64)

@@ -7,6 +7,8 @@ another fog; `Boundary.meets` finds boundaries that cross, whose meaning is not 
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +19,11 @@ from scipy.optimize import nnls
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
+from synfog_usd.fog.grid import MAX_VOXELS
 from synfog_usd.fog.medium import FogMedium
+
+OPAQUE = 60.0
+"""Optical depth at which no more of a patchy field is looked at: e^-60 is 1e-26."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +103,18 @@ class Boundary:
             grid = grid / np.linalg.norm(grid, axis=1, keepdims=True)
         return (self.to_world @ np.c_[grid, np.ones(len(grid))].T).T[:, :3]
 
+    def extent(self) -> tuple[Array, Array]:
+        """Corners (3,) [m] of a box along the world's axes around it."""
+        if self.vertices is not None:
+            return self.vertices.min(axis=0), self.vertices.max(axis=0)
+        reach = np.abs(self.to_world[:3, :3]).sum(axis=1)
+        return self.to_world[:3, 3] - reach, self.to_world[:3, 3] + reach
+
     def frame(self) -> Array:
         """Matrix (4, 4) from the unit box to the box of a density grid; a mesh's is along the world's axes."""
         if self.vertices is None:
             return self.to_world
-        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        low, high = self.extent()
         matrix = np.diag([*((high - low) / 2.0), 1.0])
         matrix[:3, 3] = (low + high) / 2.0
         return matrix
@@ -154,6 +167,7 @@ class FogVolume:
         medium: its extinction, profile and phase function.
         priority: where two overlap, the higher one fills the place.
         parent: index of the volume that surrounds it in `SceneDict.fog`, or None for clear air.
+        origin_m: (3,) where a patchy field's own origin is [m]; it drifts by this.
     """
 
     path: str
@@ -161,6 +175,16 @@ class FogVolume:
     medium: FogMedium
     priority: int = 0
     parent: int | None = None
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def grid_frame(self) -> Array:
+        """Matrix (4, 4) from the box [-1, 1]^3 of its density grid to world metres."""
+        grid = self.medium.grid
+        if grid is None or grid.period_m is None:
+            return self.boundary.frame()
+        matrix = np.diag([*[grid.period_m / 2.0] * 3, 1.0])
+        matrix[:3, 3] = self.origin_m
+        return matrix
 
     def optical_depth(self, begin_m: Array, end_m: Array) -> Array:
         """Optical depth (N,) [1] of straight segments inside, from (N, 3) to (N, 3) points [m].
@@ -170,9 +194,40 @@ class FogVolume:
         length = np.linalg.norm(end_m - begin_m, axis=1)
         if self.medium.grid is None:
             return self.medium.optical_depth(begin_m[:, 2], end_m[:, 2], length)
-        inverse = np.linalg.inv(self.boundary.frame())
+        inverse = np.linalg.inv(self.grid_frame())
         begin, end = (points @ inverse[:3, :3].T + inverse[:3, 3] for points in (begin_m, end_m))
-        return self.medium.sigma_t_per_m * length * self.medium.grid.mean(begin, end)
+        grid, sigma_t, total = self.medium.grid, self.medium.sigma_t_per_m, np.zeros(len(length))
+        pieces = 1 if grid.period_m is None else max(1, math.ceil(length.max(initial=0.0) / grid.period_m))
+        cuts = np.linspace(0.0, 1.0, pieces + 1)
+        for low, high in itertools.pairwise(cuts):
+            rows = np.flatnonzero(total < OPAQUE)
+            ends = (begin[rows] + share * (end[rows] - begin[rows]) for share in (low, high))
+            total[rows] += sigma_t * (high - low) * length[rows] * grid.mean(*ends)
+        return total
+
+    def covered(self) -> tuple[Array, Array]:
+        """Densities (Z, Y, X) and the matrix (4, 4) from the box [-1, 1]^3, of a grid that need not repeat.
+
+        Raises:
+            ParameterError: more voxels than a grid has.
+        """
+        grid, frame = self.medium.grid, self.grid_frame()
+        assert grid is not None
+        if grid.period_m is None:
+            return grid.values, frame
+        counts, voxel = np.array(grid.values.shape[::-1]), grid.period_m / np.array(grid.values.shape[::-1])
+        lowest = frame[:3, 3] - grid.period_m / 2.0
+        low, high = ((corner - lowest) / voxel for corner in self.boundary.extent())
+        first, last = np.floor(low).astype(int) - 1, np.ceil(high).astype(int) + 1
+        if (count := math.prod((last - first).tolist())) > MAX_VOXELS:
+            raise ParameterError(
+                f"{self.path}: its patchy fog fills {count} voxels, and this model holds at most {MAX_VOXELS}; use "
+                f"--model path"
+            )
+        x, y, z = (np.arange(*ends) % size for *ends, size in zip(first, last, counts, strict=True))
+        place = np.diag([*((last - first) * voxel / 2.0), 1.0])
+        place[:3, 3] = lowest + (first + last) / 2.0 * voxel
+        return grid.values[np.ix_(z, y, x)], place
 
 
 def optical_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, length_m: Array) -> Array:

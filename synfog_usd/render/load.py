@@ -19,7 +19,7 @@ import numpy as np
 
 from synfog_usd.base.colour import PRIMARIES_NM
 from synfog_usd.base.errors import StageError
-from synfog_usd.fog import Boundary, FogMedium, FogVolume
+from synfog_usd.fog import Boundary, FogVolume
 from synfog_usd.fog.phase import HenyeyGreenstein
 from synfog_usd.render import backend, surface
 from synfog_usd.render.flatten import FaceInstances, Joints, flatten
@@ -308,7 +308,7 @@ _SHAPES = ("shape_", "instance_")
 
 def _fog(mi: ModuleType, fog: Sequence[FogVolume]) -> tuple[list[Medium], dict[int, Shape]]:
     """Media of fogs, and the null-material shapes that hold them by index."""
-    media = [_medium(mi, volume.medium, volume.boundary) for volume in fog]
+    media = [_medium(mi, volume) for volume in fog]
     shapes = {}
     for index, volume in enumerate(fog):
         sides = {"interior": media[index]} | ({} if volume.parent is None else {"exterior": media[volume.parent]})
@@ -474,7 +474,8 @@ def _filled(mesh: Mesh, arrays: Mapping[str, npt.ArrayLike], mi: ModuleType) -> 
     return mesh
 
 
-def _medium(mi: ModuleType, medium: FogMedium, boundary: Boundary) -> Medium:
+def _medium(mi: ModuleType, volume: FogVolume) -> Medium:
+    medium, boundary = volume.medium, volume.boundary
     record = medium.phase_function
     mitsubas = {"type": "hg", "g": medium.g} if medium.g != 0.0 else {"type": "isotropic"}
     phase = mitsubas if isinstance(record, HenyeyGreenstein) else plugin(record)
@@ -485,8 +486,9 @@ def _medium(mi: ModuleType, medium: FogMedium, boundary: Boundary) -> Medium:
     if medium.profile == "uniform" or empty:
         return mi.load_dict({"type": "homogeneous", "sigma_t": 0.0 if empty else medium.sigma_t_per_m, **parts})
     if medium.grid is not None:
-        grid = mi.VolumeGrid((medium.sigma_t_per_m * medium.grid.values)[..., None])
-        place = mi.ScalarTransform4f(boundary.frame()) @ mi.ScalarTransform4f().translate(-1.0).scale(2.0)
+        values, frame = volume.covered()
+        grid = mi.VolumeGrid((medium.sigma_t_per_m * values)[..., None])
+        place = mi.ScalarTransform4f(frame) @ mi.ScalarTransform4f().translate(-1.0).scale(2.0)
     else:
         points = boundary.surface_points()
         low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0

@@ -74,7 +74,7 @@ MODELS: dict[str, Model] = {
     "path": Model(
         make=_of("tracer", "make_tracer"),
         refuses=_of("tracer", "path_refuses"),
-        valid="for any lamp and surface, and for fog in boxes and balls, uniform or exponential, nested or not",
+        valid="for any lamp and surface, and for fog in boxes and balls, even or on grids, nested or not",
         unbiased=True,
         bands=True,
         regularizes=True,

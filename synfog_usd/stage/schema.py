@@ -40,6 +40,9 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "profile": "uniform",
         "densityGrid": None,
         "scaleHeight": 50.0,
+        "outerScale": 8.0,
+        "deviation": 0.5,
+        "seed": 0,
         "priority": 0,
         "kind": "fog",
         "rate": None,
@@ -173,6 +176,6 @@ def _checked(prim: Usd.Prim, full_name: str, name: str, value: object) -> bool |
         raise StageError(f"{prim.GetPath()}: {full_name} = {shown} is not a finite number")
     if name == "enabled":
         return bool(value)
-    if name == "priority":
+    if name in ("priority", "seed"):
         return int(value)
     return float(value)

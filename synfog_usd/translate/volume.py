@@ -25,6 +25,7 @@ from synfog_usd.fog.drops import HEAVIEST_MM_H
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
+from synfog_usd.fog.patchy import MOST_DEVIATION, SCALES_M, patchy
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.scene import Camera
 from synfog_usd.stage import budget
@@ -45,7 +46,7 @@ SLAB_HALF_WIDTH_M = 2000.0
 """Size of the fog that is made for a stage that has none."""
 
 PHASES = ("hg", "droplets", "mie")
-PROFILES = ("uniform", "exponential", "grid")
+PROFILES = ("uniform", "exponential", "grid", "patchy")
 
 _FAR = 1e30
 """Largest coordinate that can be multiplied without overflow."""
@@ -93,7 +94,8 @@ def fog_volume(
         return _vdb_volume(prim, attributes, matrix, notes)
     boundary = _boundary(prim, matrix, time, notes)
     medium = _medium(attributes, _lowest(boundary), prim.GetStage(), notes)
-    return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"])
+    x, y, z = matrix[:3, 3].tolist()
+    return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"], origin_m=(x, y, z))
 
 
 def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
@@ -151,7 +153,7 @@ def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs,
     partly: _Pairs = set()
     wholly: _Pairs = set()
     points = [boundary.surface_points() for boundary in inner]
-    boxes = np.array([_extent(volume.boundary) for volume in volumes]).reshape(-1, 2, 3)
+    boxes = np.array([volume.boundary.extent() for volume in volumes]).reshape(-1, 2, 3)
     pairs = 0
     for j, volume in enumerate(volumes):
         meets = ((boxes[:, 0] <= boxes[j, 1]) & (boxes[:, 1] >= boxes[j, 0])).all(axis=1)
@@ -177,14 +179,6 @@ def _contained(volumes: list[FogVolume], inner: list[Boundary]) -> tuple[_Pairs,
         ):
             relation.update((int(i), j) for i in near[mask])
     return inside, partly, wholly
-
-
-def _extent(boundary: Boundary) -> Array:
-    """(2, 3) corners of a box along the axes around a boundary."""
-    if boundary.vertices is not None:
-        return np.stack([boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)])
-    reach = np.abs(boundary.to_world[:3, :3]).sum(axis=1)
-    return np.stack([boundary.to_world[:3, 3] - reach, boundary.to_world[:3, 3] + reach])
 
 
 def in_fog(volumes: tuple[FogVolume, ...], fog: Fog) -> tuple[FogVolume, ...]:
@@ -405,6 +399,8 @@ def _medium(
     profile: Any = values["profile"] if grid is None else "grid"
     if grid is None and profile == "grid":
         grid = _density_grid(values["densityGrid"], stage, fault)
+    elif grid is None and profile == "patchy":
+        grid, profile = patchy(values["outerScale"], values["deviation"], seed=values["seed"]), "grid"
     elif grid is None and "densityGrid" in authored:
         notes.warn(
             attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
@@ -490,6 +486,9 @@ def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
         ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
         ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
         ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
+        ("outerScale", SCALES_M[0] <= values["outerScale"] <= SCALES_M[1], "an outer scale is 0.5 to 1000 m"),
+        ("deviation", 0.0 <= values["deviation"] <= MOST_DEVIATION, "a relative deviation is 0 to 2"),
+        ("seed", values["seed"] >= 0, "a seed is 0 or more"),
         (
             "angstrom",
             ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1],

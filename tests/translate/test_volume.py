@@ -101,6 +101,7 @@ def test_fog_can_be_switched_off(empty, how):
 BAD = {"mor": [0.0, -5.0, math.nan, math.inf, 1e-4], "sigma_t": [-0.1, math.nan, 1e4], "contrast": [0.0, 1.0]}
 BAD |= {"albedo": [-0.1, 1.5, math.nan], "g": [1.0, -1.0, math.nan], "scaleHeight": [0.0, -1.0]}
 BAD |= {"rate": [0.0, -1.0, 1e9, 5.0, math.nan], "kind": ["hail"], "also": ["hail3", "clear", "rain0", "rain5000"]}
+BAD |= {"outerScale": [0.0, 1e9], "deviation": [-0.1, 3.0], "seed": [-1.0]}
 BAD |= {"angstrom": [9.0, math.nan], "phase": ["rayleigh"], "profile": ["linear"], "morr": [100.0]}
 
 
@@ -198,6 +199,23 @@ def test_a_grid_beside_the_stage_is_read(saved, name):
     assert (volume.medium.profile, volume.medium.sigma_t_per_m) == ("grid", 0.1)
     stage.Save()
     assert (folder / name).resolve() in dependencies(stage)  # and so in the stage's hash
+
+
+def test_patchy_fog_drifts_by_the_time_samples_of_its_prim(empty):
+    """Centimetres, 2 m/s of wind: the same field at both frames, 5 m further; another visibility keeps it."""
+    stage = empty(metres_per_unit=0.01)
+    cube = fog_box(stage, "/Fog", half=9000.0, mor=150.0, profile="patchy", outerScale=12.0, deviation=0.4, seed=3.0)
+    drift = cube.GetOrderedXformOps()[0]
+    for frame, x in ((0.0, 0.0), (60.0, 500.0)):
+        drift.Set((x, 0.0, 0.0), frame)
+    (before,), (after,) = (translate(stage, frame=frame).fog for frame in (0.0, 60.0))
+    assert before.medium.grid is after.medium.grid  # made once
+    np.testing.assert_allclose(np.subtract(after.origin_m, before.origin_m), (5.0, 0.0, 0.0), atol=1e-6)
+    assert (before.medium.grid.period_m, before.medium.visibility_m) == (12.0 * 16, pytest.approx(150.0))
+    np.testing.assert_allclose(before.medium.grid.values.std(), 0.4, rtol=1e-3)
+    (denser,) = translate(stage, frame=60.0, fog=Fog(50.0)).fog
+    assert (denser.medium.grid is after.medium.grid, denser.origin_m) == (True, after.origin_m)
+    assert denser.medium.visibility_m == pytest.approx(50.0)
 
 
 GRIDS = {

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from synfog_usd.base.arrays import Array, Flags, Indices, distinct
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, silent
-from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
 from synfog_usd.render.load import MitsubaScene, camera_fog
+from synfog_usd.render.media.medium import measured_depth
 from synfog_usd.render.placed import PlacedScene
 from synfog_usd.scene import Camera, prototype_of
 
@@ -168,7 +168,7 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
         alive = alive[~stopped]
 
     if fog and not loaded.boundaries:
-        tau = optical_depth(fog, eye, direction, distance)
+        tau = measured_depth(fog, eye, direction, distance)
     depth = np.where(
         np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf
     )
@@ -275,7 +275,7 @@ def seen_through(loaded: MitsubaScene, clear: Aovs) -> Aovs:
         some = slice(low, low + RAYS)
         _, direction = tracer.centre_rays(np.arange(low, min(low + RAYS, len(distance))))
         eye = np.broadcast_to(loaded.source.camera.to_world[:3, 3], direction.shape)
-        through[some] = np.exp(-optical_depth(loaded.source.fog, eye, direction, distance[some]))
+        through[some] = np.exp(-measured_depth(loaded.source.fog, eye, direction, distance[some]))
     return replace(clear, transmittance=through.reshape(clear.distance_m.shape))
 
 

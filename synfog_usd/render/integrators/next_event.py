@@ -267,9 +267,7 @@ class NextEvent:
         mi, black = backend.mitsuba(), self.bands.black()
         normal = mi.Vector3f(si.n)
         lamp, colour, group, pdf = self.lights.at(si.p, lambda way: dr.abs(dr.dot(normal, way)) + 1e-3, sampler, smooth)
-        free, reach_lamp = self.shadow_transmittance(
-            si.p, si.n, lamp, sampler, smooth & (dr.max(colour) > 0.0)
-        )
+        free, reach_lamp = self.shadow_transmittance(si.p, si.n, lamp, sampler, smooth & (dr.max(colour) > 0.0))
         answering = lit_from(si, lamp, pdf <= 0.0, spread)
         reflected = bsdf.eval(mi.BSDFContext(), answering, si.to_local(mi.Vector3f(dr.normalize(lamp - si.p))), free)
         light = throughput * self.bands.reflectance(reflected, reading) * self.groups.light(colour, group) * reach_lamp

@@ -430,9 +430,7 @@ class FogPath:
 
     # The steps of `trace_paths`, by its numbers: traced functions, in which `if` is Python's own.
 
-    def sample_flight(
-        self, ray: Ray3f, u: Float, sampler: Sobol, may_scatter: Bool
-    ) -> tuple[Float, Float, Float]:
+    def sample_flight(self, ray: Ray3f, u: Float, sampler: Sobol, may_scatter: Bool) -> tuple[Float, Float, Float]:
         """(1) Where the ray is in fog, from and to [m], and where the fog scatters it, infinite where it does not."""
         mi = backend.mitsuba()
         if not self.foggy:

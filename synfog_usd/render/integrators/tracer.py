@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import RGB
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.light_groups import LightGroups
@@ -37,6 +38,9 @@ def make_tracer(
         scatterings, bounces: see `Truncation`; None is no limit.
         bands: what a path carries, see `spectra.bands`.
         regularize: see `FogPath`.
+
+    Raises:
+        ParameterError: a density grid whose extinction differs between the bands.
     """
     limits = {name: value for name, value in (("scatterings", scatterings), ("bounces", bounces)) if value is not None}
     world = loaded.source.world
@@ -47,6 +51,12 @@ def make_tracer(
     carried = Bands(bands, loaded.source.fog, spectra)
     carried.assign_spectral_bsdfs(loaded)
     medium = Medium(loaded.source.fog, carried.clearest)
+    if carried.coloured and medium.grids:
+        path = next(volume.path for volume in medium.volumes if volume.medium.grid is not None)
+        raise ParameterError(
+            f"{path}: wavelength bands take no grid or patchy fog with an Angstrom exponent; make it grey, or use R, "
+            f"G and B"
+        )
     names, numbers, of_emitter = _groups(loaded, carried.kinds, kind_of)
     g = loaded.source.fog[0].medium.phase_function.mean_cosine if loaded.source.fog else 0.0
     lights = loaded.light_samplers.get((g, carried.kinds))

@@ -1,6 +1,6 @@
 """Fog on a grid of densities as a kernel sees it: flights and transmittances by tracking, optical depths exactly.
 
-Takes a fog volume with a `DensityGrid`; gives, for stretches of rays, where the fog scatters and how much it lets through.
+Takes a fog volume with a `DensityGrid`; gives, for stretches of rays, where the fog scatters and what it lets through.
 
 **Tracking.**  Fog that does nothing is added until a cell of `block`^3 voxels is as dense as its densest point, the
 majorant.  A ray then meets tentative collisions in closed form, cell by cell, and each is a true one with the chance
@@ -43,7 +43,7 @@ ROUNDING = 2.4e-7
 """Least step as a share of the distance, so that it is one in single precision."""
 
 FAINT = 0.1
-"""Transmittance below which a collision ends the ray or does nothing: what is far behind dense fog costs no more steps."""
+"""Transmittance below which a collision ends the ray or does nothing: else it would creep on behind dense fog."""
 
 
 ANY = 2.0
@@ -80,7 +80,7 @@ class GridTracker:
         self.counts = mi.Vector3i(*(dr.opaque(mi.Int32, int(count)) for count in counts))
         self.cells = mi.Vector3i(*(dr.opaque(mi.Int32, int(count)) for count in most.shape[::-1]))
         self.densities, self.majorants = backend.floats(grid.values.ravel()), backend.floats(most.ravel())
-        self.sigma_t = sigma_t
+        self.sigma_t, self.repeats = sigma_t, grid.period_m is not None
         self.mean_sigma_t = sigma_t * dr.opaque(mi.Float, float(grid.values.mean(dtype=np.float64)))
         dr.make_opaque(self.to_cells)
 
@@ -155,10 +155,8 @@ class GridTracker:
         return through, place
 
     @dr.syntax
-    def optical_depth(
-        self, origin: Point3f, direction: Vector3f, begin: Float, end: Float, active: Bool | bool = True
-    ) -> Float:
-        """Optical depth of a stretch in the grid's box; arguments as in `track`.
+    def optical_depth(self, origin: Point3f, direction: Vector3f, begin: Float, end: Float, most: float) -> Float:
+        """Optical depth of a stretch in the grid's box, or any number above `most`; other arguments as in `track`.
 
         Between planes of voxel centres the density is a cubic, of which two Gauss points give the mean.
         """
@@ -169,7 +167,7 @@ class GridTracker:
         per_voxel, side = dr.rcp(safe), dr.select(safe > 0.0, mi.Vector3f(1.0), mi.Vector3f(0.0))
         nudge = NUDGE / dr.max(dr.abs(safe))
         distance, total = mi.Float(begin), mi.Float(0.0)
-        flies = active & (end > begin)
+        flies = end > begin
         while flies:
             here = at + along * distance
             voxel = dr.floor(here + nudge * along)
@@ -182,7 +180,7 @@ class GridTracker:
                 mean += 0.5 * _between(corners, here + along * (share * leap) - voxel)
             total += dr.select(flies, self.sigma_t * mean * leap, 0.0)
             distance += leap
-            flies &= ~leaves
+            flies &= ~leaves & (total < most)
         return total
 
     def _density(self, place: Vector3f, active: Bool | bool) -> Float:
@@ -203,9 +201,12 @@ class GridTracker:
         ]
 
     def _index(self, place: Vector3f, counts: Vector3f) -> UInt32:
-        """Where a voxel or a cell stands in its array; outside of the grid the outermost one goes on."""
+        """Where a voxel or a cell stands in its array; beyond the outermost one that goes on, or the grid repeats."""
         mi = backend.mitsuba()
-        x, y, z = (dr.clip(place[axis], 0, counts[axis] - 1) for axis in range(3))
+        if self.repeats:
+            x, y, z = (place[axis] & (counts[axis] - 1) for axis in range(3))
+        else:
+            x, y, z = (dr.clip(place[axis], 0, counts[axis] - 1) for axis in range(3))
         return mi.UInt32((z * counts[1] + y) * counts[0] + x)
 
 
@@ -218,11 +219,10 @@ def _between(corners: list[Float], share: Vector3f) -> Float:
 
 def majorants(grid: DensityGrid, block: int) -> Array:
     """(Z, Y, X) float32 largest density of each cell of `block`^3 voxels and of two voxels around it."""
-    most = np.asarray(grid.values)
-    reach = block + 4
+    most, reach, mode = np.asarray(grid.values), block + 4, "nearest" if grid.period_m is None else "wrap"
     for axis, count in enumerate(most.shape):
         middle = np.minimum(np.arange(0, count, block) - 2 + reach // 2, count - 1)
-        most = ndimage.maximum_filter1d(most, reach, axis=axis, mode="nearest").take(middle, axis=axis)
+        most = ndimage.maximum_filter1d(most, reach, axis=axis, mode=mode).take(middle, axis=axis)
     return np.ascontiguousarray(most)
 
 
@@ -232,4 +232,4 @@ def cells_from_world(volume: FogVolume, block: int) -> Array:
     counts = np.array(volume.medium.grid.values.shape[::-1])
     to_cells = np.diag([*(counts / (2.0 * block)), 1.0])
     to_cells[:3, 3] = counts / (2.0 * block)
-    return to_cells @ np.linalg.inv(volume.boundary.frame())
+    return to_cells @ np.linalg.inv(volume.grid_frame())

@@ -9,12 +9,16 @@ through all of them end where the nearest ends, and their transmittances multipl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
+from synfog_usd.base.arrays import Array
 from synfog_usd.fog import FogVolume
+from synfog_usd.fog.volume import OPAQUE, optical_depth
 from synfog_usd.render import backend
 from synfog_usd.render.media.grid import ANY, FAINT, GridTracker
 from synfog_usd.render.media.phases import kernel_phase
@@ -94,11 +98,12 @@ class Medium:
             if medium.grid is None:
                 total += medium.optical_depth(origin, direction, near, far)
             elif grids:
-                total += medium.grid.optical_depth(origin, direction, near, far)
+                most = OPAQUE if not medium.holes else math.inf
+                total += medium.grid.optical_depth(origin, direction, near, far, most)
             if parent is not None and parent.grid is None:
                 total -= parent.optical_depth(origin, direction, near, far)
             elif parent is not None and parent.grid is not None and grids:
-                total -= parent.grid.optical_depth(origin, direction, near, far)
+                total -= parent.grid.optical_depth(origin, direction, near, far, math.inf)
         return dr.maximum(total, 0.0)
 
     def optical_depth_inside(self, origin: Point3f, direction: Vector3f, begin: Float, end: Float) -> Float:
@@ -180,9 +185,9 @@ class Medium:
             key = sampler.stream()
             first = u if number == 0 and not self.even else unit(key)
             assert medium.grid is not None
-            place = medium.grid.track(
-                origin, direction, begin, end, first, key, active, faint=ANY, holes=medium.holes
-            )[1]
+            place = medium.grid.track(origin, direction, begin, end, first, key, active, faint=ANY, holes=medium.holes)[
+                1
+            ]
             flight = dr.minimum(flight, place)
         return flight
 
@@ -231,9 +236,7 @@ class Medium:
             )[0]
         return through
 
-    def _mean_depth(
-        self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float
-    ) -> Float:
+    def _mean_depth(self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float) -> Float:
         """Optical depth of a stretch if all grids were even."""
         total = backend.mitsuba().Float(0.0)
         for medium in self.grids:
@@ -367,6 +370,19 @@ def _mean_density(low: Float, climb: Float) -> Float:
 def _expm1(x: Float) -> Float:
     """exp(x) - 1 where cancellation matters little (|x| >= 1e-3, 1e-4 relative in float32)."""
     return dr.exp(x) - 1.0
+
+
+def measured_depth(fog: Sequence[FogVolume], origin_m: Array, direction: Array, length_m: Array) -> Array:
+    """`fog.volume.optical_depth`, of grids by a kernel, in single precision: a picture's rays meet many voxels.
+
+    Args and returns: as there.
+    """
+    if backend.is_scalar() or not any(volume.medium.grid is not None for volume in fog):
+        return optical_depth(fog, origin_m, direction, length_m)
+    mi = backend.mitsuba()
+    origin, end = backend.points(origin_m), backend.floats(np.minimum(length_m, np.finfo(np.float32).max))
+    tau = Medium(fog).optical_depth(origin, mi.Vector3f(backend.points(direction)), 0.0, end)
+    return np.array(tau, dtype=np.float64)
 
 
 def transmittance(optical_depth: Float) -> tuple[Float, Float]:
