@@ -7,6 +7,7 @@ Processor seconds bear other work on the machine; ratios in one run are what cou
     python -m docs.studies.streets volpath                       # the streets as they are
     python -m docs.studies.streets cycles --bpy BLENDER_ENV/bin/python -o out/streets    # the same streets, matt
     python -m docs.studies.streets volpath --only crossing --samples 64
+    python -m docs.studies.streets even --only patches           # patchy fog beside even fog of the same mean
     python -m docs.studies.streets denoised --bpy BLENDER_ENV/bin/python --size 192x108 --samples 16 --only crossroads
 
 Cycles gets what `cycles_scene.py` exports: the same triangles, lamps, sky, fog and
@@ -39,9 +40,12 @@ from docs.studies.cycles_scene import export, simplified
 from synfog_usd import stage as usd
 from synfog_usd.base.arrays import Array
 from synfog_usd.fog import Fog
+from synfog_usd.fog.grid import DensityGrid
+from synfog_usd.fog.patchy import patchy
 from synfog_usd.render import models, shot
 from synfog_usd.render.lights import photometric
 from synfog_usd.scene import SceneDict
+from synfog_usd.scene.testing import box
 from synfog_usd.translate import translate
 from synfog_usd.world.compose import compose
 
@@ -59,11 +63,13 @@ class Street:
         source: a stage, or a recipe that is drawn with seed 3; below `stages/`.
         lighting: variant of the stage.
         mor_m: visibility [m], or None for clear air.
+        patch_m: outer scale [m] of patchy fog, whose deviation is half of its mean; None for even fog.
     """
 
     source: str
     lighting: str
     mor_m: float | None
+    patch_m: float | None = None
 
     @property
     def name(self) -> str:
@@ -71,6 +77,7 @@ class Street:
         return (
             f"{Path(self.source).stem} {'dusk' if self.lighting == 'active' else 'noon'} "
             f"{'clear' if self.mor_m is None else f'MOR {self.mor_m:g}'}"
+            f"{'' if self.patch_m is None else f', patches of {self.patch_m:g} m'}"
         )
 
 
@@ -78,6 +85,7 @@ STREETS = (
     Street("crossroads.usda", "sky", None),
     Street("crossroads.usda", "sky", 300.0),
     Street("crossroads.usda", "sky", 150.0),
+    Street("crossroads.usda", "sky", 150.0, patch_m=8.0),
     Street("crossroads.usda", "active", None),
     Street("crossroads.usda", "active", 300.0),
     Street("crossroads.usda", "active", 150.0),
@@ -101,7 +109,16 @@ def scene_of(street: Street, size: tuple[int, int], folder: Path) -> SceneDict:
     fogs = usd.variants(stage)["fog"]
     foggy = next(name for name in fogs if name != "clear")
     usd.select(stage, fog="clear" if street.mor_m is None else foggy, lighting=street.lighting)
-    return translate(stage, resolution=size, fog=street.mor_m and Fog(street.mor_m))
+    scene = translate(stage, resolution=size, fog=street.mor_m and Fog(street.mor_m))
+    return scene if street.patch_m is None else in_patches(scene, patchy(street.patch_m, 0.5))
+
+
+def in_patches(scene: SceneDict, grid: DensityGrid | None) -> SceneDict:
+    """The scene in fog of as much extinction in the mean, patchy or even, in a box of 300 m that `volpath` can hold."""
+    (fog,) = scene.fog
+    around = box((150.0, 150.0, 60.0), scene.camera.to_world[:3, 3] + (0.0, 110.0, 38.0))
+    profile = "uniform" if grid is None else "grid"
+    return replace(scene, fog=(replace(fog, boundary=around, medium=replace(fog.medium, profile=profile, grid=grid)),))
 
 
 def matt(scene: SceneDict) -> SceneDict:
@@ -242,7 +259,7 @@ def denoised(
 def main() -> None:
     """Measure what the command line asks for."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("peer", choices=("volpath", "cycles", "denoised"))
+    parser.add_argument("peer", choices=("volpath", "cycles", "denoised", "even"))
     parser.add_argument("--bpy", type=Path, help="a Python that has bpy 5.0.1")
     parser.add_argument("--only", default="", help="part of the streets' names")
     parser.add_argument("--models", default="path")
@@ -293,6 +310,8 @@ def main() -> None:
                 scene = matt(scene)
                 stem = folder / street.name.replace(" ", "_")
                 images, seconds = cycles(scene, arguments.bpy, stem, arguments.samples, arguments.seeds)
+            elif arguments.peer == "even":
+                images, seconds = ours(in_patches(scene, None), "path", arguments.samples, arguments.seeds)
             else:
                 images, seconds = ours(scene, "volpath", arguments.samples, arguments.seeds)
             theirs = cost(images, seconds, arguments.samples)

@@ -161,13 +161,14 @@ def sample_shot(
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
     makes its pictures.
     """
+    from synfog_usd.render.media.medium import measured_depth
     from synfog_usd.render.shot import sample
     from synfog_usd.scene import transmittance
 
     density = density_of(scene, pinhole)
     floor = pixel_noise(view.noise, density) if view and view.noise else None
     looked_at = view if view and view.world is scene.world else None
-    through = transmittance.of_instances(scene, looked_at.parts if looked_at else None)
+    through = transmittance.of_instances(scene, looked_at.parts if looked_at else None, measured_depth)
     loaded = renderer.loaded_for(scene, plan.model)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
     settings = settings_of(plan, floor, density, seed32(plan.paths, shot.lighting, shot.fog))

@@ -5,7 +5,7 @@ Takes a scene; gives a transmittance for each label id.  Renders nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,12 +30,15 @@ class PartBoxes:
     high: Array
 
 
-def of_instances(scene: SceneDict, parts: PartBoxes | None = None) -> dict[int, float]:
+def of_instances(
+    scene: SceneDict, parts: PartBoxes | None = None, depth: Callable[..., Array] = optical_depth
+) -> dict[int, float]:
     """Label id -> the fog's transmittance between the eye and an instance, the largest over the boxes of its parts [1].
 
     Args:
         scene: what `translate` made.
         parts: of the scene's world where they are known, see `boxes_of`: they are the same in every fog.
+        depth: another `fog.volume.optical_depth`, which may be faster.
 
     Returns:
         Nothing where it is not known: the fog has no closed form, or the camera is orthographic and its rays do not
@@ -46,7 +49,7 @@ def of_instances(scene: SceneDict, parts: PartBoxes | None = None) -> dict[int, 
     parts = parts or boxes_of(scene.world)
     clear = dict.fromkeys(parts.keys, 1.0)
     if scene.fog and parts.keys:
-        through = _to_boxes(scene.fog, scene.camera.to_world[:3, 3], parts.low, parts.high)
+        through = _to_boxes(depth, scene.fog, scene.camera.to_world[:3, 3], parts.low, parts.high)
         clear = dict(zip(parts.keys, through.tolist(), strict=True))
     result: dict[int, float] = {}
     for names, instance in scene.instance_of.items():
@@ -79,14 +82,14 @@ def _box(shapes: list[Mapping[str, Any]]) -> tuple[Array, Array]:
     return extent(*([points for points in meshes if len(points)] or [np.zeros((1, 3))]))
 
 
-def _to_boxes(fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Array) -> Array:
+def _to_boxes(depth: Callable[..., Array], fog: tuple[FogVolume, ...], eye: Array, low: Array, high: Array) -> Array:
     """Largest transmittance from the eye to a box: at its nearest point, or at one of 27 all over it, where the fog may
     be thinner.
     """
     grid = np.stack(np.meshgrid(*[[0.0, 0.5, 1.0]] * 3), axis=-1).reshape(-1, 3)
     places = np.concatenate([low[:, None] + grid * (high - low)[:, None], np.clip(eye, low, high)[:, None]], axis=1)
     offsets = (places - eye).reshape(-1, 3)
-    tau = optical_depth(fog, np.broadcast_to(eye, offsets.shape), *_rays(offsets)) * _clearest(fog)
+    tau = depth(fog, np.broadcast_to(eye, offsets.shape), *_rays(offsets)) * _clearest(fog)
     return np.asarray(np.exp(-tau.reshape(len(low), -1).min(axis=1)))
 
 

@@ -13,7 +13,6 @@ The field is trilinear between voxel centres, the same as of `DensityGrid.mean` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import drjit as dr
@@ -46,8 +45,8 @@ FAINT = 0.1
 """Transmittance below which a collision ends the ray or does nothing: else it would creep on behind dense fog."""
 
 
-ANY = 2.0
-"""Every transmittance is below it."""
+BOOST = 2.0
+"""Factor on the majorants where a transmittance is asked for."""
 
 
 class Volume(Protocol):
@@ -66,6 +65,7 @@ class GridTracker:
 
     Attributes:
         mean_sigma_t: mean extinction of the grid [1/m].
+        holes: where there is nothing.
     """
 
     def __init__(self, volume: FogVolume, sigma_t: Float) -> None:
@@ -80,13 +80,16 @@ class GridTracker:
         self.counts = mi.Vector3i(*(dr.opaque(mi.Int32, int(count)) for count in counts))
         self.cells = mi.Vector3i(*(dr.opaque(mi.Int32, int(count)) for count in most.shape[::-1]))
         self.densities, self.majorants = backend.floats(grid.values.ravel()), backend.floats(most.ravel())
+        self.holes: list[Volume] = []
         self.sigma_t, self.repeats = sigma_t, grid.period_m is not None
         self.mean_sigma_t = sigma_t * dr.opaque(mi.Float, float(grid.values.mean(dtype=np.float64)))
         dr.make_opaque(self.to_cells)
 
     def extinction(self, place: Point3f) -> Float:
         """Extinction [1/m] at points in the grid's box."""
-        return self.sigma_t * self._density(backend.mitsuba().Vector3f(self.to_cells @ place), True)
+        return self.sigma_t * self._density(
+            backend.mitsuba().Vector3f(self.to_cells @ backend.mitsuba().Point3f(place)), True
+        )
 
     @dr.syntax
     def track(
@@ -98,9 +101,7 @@ class GridTracker:
         u: Float,
         key: UInt32,
         active: Bool,
-        *,
-        faint: float,
-        holes: Sequence[Volume],
+        until_scattered: bool,
     ) -> tuple[Float, Float]:
         """How much of a stretch's light comes through, and where the rest is scattered.
 
@@ -109,16 +110,16 @@ class GridTracker:
             begin, end: the stretch in the grid's box, as distances [m].
             u: the number in [0, 1) that draws the first collision.
             key: of the random numbers for all others.
-            faint: transmittance below which a collision ends the ray or does nothing.  With `ANY` the ray flies until
-                it is scattered, and the transmittance is 0 or 1.
-            holes: where there is nothing.
+            until_scattered: whether a true collision ends the ray, so that the transmittance is 0 or 1; else all of
+                them weigh it, with more collisions and less noise.
 
         Returns:
             transmittance T, unbiased; and a distance [m], infinite where T is 1: with the weight 1 - T it is drawn in
             proportion to transmittance x extinction.
         """
         mi = backend.mitsuba()
-        at, along = mi.Vector3f(self.to_cells @ origin), mi.Vector3f(self.to_cells @ direction)
+        faint, boost = (2.0, 1.0) if until_scattered else (FAINT, BOOST)
+        at, along = mi.Vector3f(self.to_cells @ mi.Point3f(origin)), mi.Vector3f(self.to_cells @ mi.Vector3f(direction))
         safe = mi.Vector3f([dr.select(dr.abs(x) < 1e-12, dr.copysign(mi.Float(1e-12), x), x) for x in along])
         per_cell, side = dr.rcp(safe), dr.select(safe > 0.0, mi.Vector3f(1.0), mi.Vector3f(0.0))
         nudge = NUDGE / dr.max(dr.abs(safe))
@@ -130,7 +131,11 @@ class GridTracker:
         while flies:
             here = at + along * distance
             cell = dr.floor(here)
-            most = self.sigma_t * dr.gather(mi.Float, self.majorants, self._index(mi.Vector3i(cell), self.cells), flies)
+            most = (
+                boost
+                * self.sigma_t
+                * dr.gather(mi.Float, self.majorants, self._index(mi.Vector3i(cell), self.cells), flies)
+            )
             leap = dr.maximum(dr.min((cell + side - here) * per_cell), 0.0) + nudge + ROUNDING * distance
             leaves = distance + leap >= end
             leap = dr.minimum(leap, end - distance)
@@ -139,7 +144,7 @@ class GridTracker:
             depth -= most * leap
 
             true = dr.minimum(self.sigma_t * self._density(at + along * distance, collides) / most, 1.0)
-            for hole in holes:
+            for hole in self.holes:
                 true = dr.select(hole.contains(origin + direction * distance), 0.0, true)
             number += 1
             bits = hashed(key, number)
@@ -161,8 +166,8 @@ class GridTracker:
         Between planes of voxel centres the density is a cubic, of which two Gauss points give the mean.
         """
         mi = backend.mitsuba()
-        at = mi.Vector3f(self.to_cells @ origin) * self.block - 0.5  # centres are whole numbers
-        along = mi.Vector3f(self.to_cells @ direction) * self.block
+        at = mi.Vector3f(self.to_cells @ mi.Point3f(origin)) * self.block - 0.5  # centres are whole numbers
+        along = mi.Vector3f(self.to_cells @ mi.Vector3f(direction)) * self.block
         safe = mi.Vector3f([dr.select(dr.abs(x) < 1e-12, dr.copysign(mi.Float(1e-12), x), x) for x in along])
         per_voxel, side = dr.rcp(safe), dr.select(safe > 0.0, mi.Vector3f(1.0), mi.Vector3f(0.0))
         nudge = NUDGE / dr.max(dr.abs(safe))

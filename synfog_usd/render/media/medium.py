@@ -20,7 +20,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.fog import FogVolume
 from synfog_usd.fog.volume import OPAQUE, optical_depth
 from synfog_usd.render import backend
-from synfog_usd.render.media.grid import ANY, FAINT, GridTracker
+from synfog_usd.render.media.grid import GridTracker
 from synfog_usd.render.media.phases import kernel_phase
 from synfog_usd.render.sampling.sobol import unit
 
@@ -68,7 +68,7 @@ class Medium:
         self.even = len(self.grids) < len(self.media)
         for medium, parent in zip(self.media, self.parents, strict=True):
             if parent is not None and parent.grid is not None:
-                parent.holes.append(medium)
+                parent.grid.holes.append(medium)
         if self.foggy:
             self.phase = kernel_phase(self.volumes[0].medium.phase_function)
             self.one_albedo = len({volume.medium.albedo for volume in self.volumes}) == 1
@@ -98,7 +98,7 @@ class Medium:
             if medium.grid is None:
                 total += medium.optical_depth(origin, direction, near, far)
             elif grids:
-                most = OPAQUE if not medium.holes else math.inf
+                most = OPAQUE if not medium.grid.holes else math.inf
                 total += medium.grid.optical_depth(origin, direction, near, far, most)
             if parent is not None and parent.grid is None:
                 total -= parent.optical_depth(origin, direction, near, far)
@@ -185,9 +185,7 @@ class Medium:
             key = sampler.stream()
             first = u if number == 0 and not self.even else unit(key)
             assert medium.grid is not None
-            place = medium.grid.track(origin, direction, begin, end, first, key, active, faint=ANY, holes=medium.holes)[
-                1
-            ]
+            place = medium.grid.track(origin, direction, begin, end, first, key, active, True)[1]
             flight = dr.minimum(flight, place)
         return flight
 
@@ -214,7 +212,7 @@ class Medium:
         grid = self.media[0].grid
         assert grid is not None
         key = sampler.stream()
-        through, place = grid.track(origin, direction, near, end, u, key, active, faint=FAINT, holes=())
+        through, place = grid.track(origin, direction, near, end, u, key, active, False)
         return 1.0 - through, place
 
     def _through_grids(
@@ -231,9 +229,8 @@ class Medium:
             near, far = medium.interval(origin, direction, begin, end)
             key = sampler.stream()
             assert medium.grid is not None
-            through *= medium.grid.track(
-                origin, direction, near, far, unit(key), key, active & (through > 0.0), faint=FAINT, holes=medium.holes
-            )[0]
+            lit = active & (through > 0.0)
+            through *= medium.grid.track(origin, direction, near, far, unit(key), key, lit, False)[0]
         return through
 
     def _mean_depth(self, origin: Point3f, direction: Vector3f, begin: Float | float, end: Float | float) -> Float:
@@ -279,12 +276,7 @@ def _nesting(around: Sequence[int | None], place: int) -> int:
 
 
 class _Volume:
-    """One volume's numbers, out of the compiler's sight so that others need no new kernel.
-
-    Attributes:
-        grid: its densities, or None.
-        holes: volumes in a grid, where it has nothing.
-    """
+    """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
 
     def __init__(self, volume: FogVolume, scale: float) -> None:
         mi = backend.mitsuba()
@@ -297,7 +289,6 @@ class _Volume:
             dr.opaque(mi.Float, medium.albedo),
         )
         self.exponential = medium.profile == "exponential"
-        self.holes: list[_Volume] = []
         self.grid = None if medium.grid is None else GridTracker(volume, self.sigma_t)
         self.mean_sigma_t = self.sigma_t if self.grid is None else self.grid.mean_sigma_t
         if self.exponential:
