@@ -205,7 +205,7 @@ class FogVolume:
             total[rows] += sigma_t * (high - low) * length[rows] * grid.mean(*ends)
         return total
 
-    def covered(self) -> tuple[Array, Array]:
+    def covered(self) -> tuple[npt.NDArray[np.float32], Array]:
         """Densities (Z, Y, X) and the matrix (4, 4) from the box [-1, 1]^3, of a grid that need not repeat.
 
         Raises:

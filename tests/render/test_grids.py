@@ -133,13 +133,13 @@ def street(fog):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_street_in_it_is_that_of_volpath(name):
-    """Two programs that share no line of the transport, sun, sky and lamps: 2 % of the mean is resolved, and each
-    pixel within 5 standard errors.
+    """Two programs that share no line of the transport, sun, sky and lamps: 3 % of the mean is
+    resolved.
     """
     world = street(WORLDS[name])
     ours = renders.pictures(world, 8, samples=256, model="path", regularize=False)
     theirs = renders.pictures(world, 8, samples=1024, model="volpath")
-    assert_agree(ours, theirs, resolves=0.02)
+    assert_agree(ours, theirs, resolves=0.03)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -208,7 +208,7 @@ class Medium:
             return opaque, self.sample_distance(origin, direction, -dr.log(1.0 - u * opaque), near, end)
         if len(self.media) > 1:
             place = self.sample_flight(origin, direction, near, end, u, sampler, active)
-            return dr.select(dr.isfinite(place), 1.0, 0.0), place
+            return dr.select(dr.isfinite(place), backend.mitsuba().Float(1.0), 0.0), place
         grid = self.media[0].grid
         assert grid is not None
         key = sampler.stream()
