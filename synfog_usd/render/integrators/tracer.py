@@ -51,7 +51,7 @@ def make_tracer(
     carried = Bands(bands, loaded.source.fog, spectra)
     carried.assign_spectral_bsdfs(loaded)
     medium = Medium(loaded.source.fog, carried.clearest)
-    if carried.coloured and medium.grids:
+    if medium.grids and carried.coloured and carried.ratio.max() > 1.0:
         path = next(volume.path for volume in medium.volumes if volume.medium.grid is not None)
         raise ParameterError(
             f"{path}: wavelength bands take no grid or patchy fog with an Angstrom exponent; make it grey, or use R, "
