@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from synfog_usd.base.arrays import Array, FloatArray
 from synfog_usd.base.errors import ImageError
@@ -119,6 +118,8 @@ def _lying(area: tuple[Array, Array], density_per_m2: float, median_m: float, pe
 
 def _seen(pixels: FloatArray, view: Pinhole, lying: _Lying, scale_px: float, blur_px: float) -> tuple[Array, Array]:
     """(H, W, C) light of the drops times what they cover, and (H, W) what they cover of each pixel."""
+    from scipy.signal import fftconvolve
+
     height, width = pixels.shape[:2]
     radius = 0.5 * scale_px * lying.diameter_m
     middle = lying.place_m * scale_px + np.array(view.axis_px)
