@@ -37,11 +37,6 @@ RAW_MOTTLE = 0.7
 FIRST = 8
 """Samples of the first round of a picture that is to be denoised: four in each half."""
 
-CERTAIN = 0.9
-"""Part of the mottle that may be left at which a picture is good enough: two seeds differ by 1.1 times what its halves
-show, since both are brought nearer to the samples where they happen to agree, and since the least of several is taken.
-"""
-
 FALL = 0.4
 """A denoised picture's error falls as this power of its samples, about."""
 
@@ -105,7 +100,7 @@ class Target:
     def times_needed(self, luminance: Pixels, error: Error) -> float:
         """How many times its samples a denoised picture needs, about; 1 or less where it is good enough."""
         whole = 1.0 if self.relative is None and self.sigma is None else times_needed(self.excess(luminance, error))
-        return whole if self.mottle is None else max(whole, (error.mottle / (CERTAIN * self.mottle)) ** 2)
+        return whole if self.mottle is None else max(whole, (error.mottle / self.mottle) ** 2)
 
 
 def sensor_target(noise: Callable[[Pixels], Pixels]) -> Callable[[Pixels], Pixels]:
