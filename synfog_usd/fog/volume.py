@@ -23,7 +23,7 @@ from synfog_usd.fog.grid import MAX_VOXELS
 from synfog_usd.fog.medium import FogMedium
 
 OPAQUE = 60.0
-"""Optical depth at which no more of a patchy field is looked at: e^-60 is 1e-26."""
+"""Optical depth beyond which a ray through a patchy field is black: e^-60 is 1e-26."""
 
 
 @dataclass(frozen=True)
