@@ -57,7 +57,10 @@ BANDS = (8, 16, 31)
 LEAST_MOR_M = 0.03
 """Visibility [m] of the densest fog, with an extinction of 100 1/m."""
 
-FOG_WORDS = ("albedo", "g", "phase", "diameter", "angstrom", "profile", "scale")
+RATES_MM_H = (0.01, 1000.0)
+"""Rates [mm/h of water] of rain and snow: from drizzle's edge to three times the heaviest rain in an hour."""
+
+FOG_WORDS = ("albedo", "g", "phase", "diameter", "angstrom", "profile", "scale", "patch", "deviation", "seed")
 """What may stand behind the visibility in a fog's name, as in mor150_g0.8."""
 
 MEDIA = ("mor", "haze", "mist", "smoke", "dust", "spray", "rain", "snow")
@@ -67,6 +70,7 @@ RATED = ("rain", "snow")
 """Media whose names have a rate [mm/h of water] instead."""
 
 _FOG = re.compile(rf"({'|'.join(MEDIA)})(\d+(?:\.\d+)?)((?:_(?:{'|'.join(FOG_WORDS)})-?[a-z\d.]+)*)")
+_LIKE_FOG = re.compile(r"([A-Za-z]+)([-.\d][^_]*)?((?:_.*)?)")
 
 UNITS_M = (1e-6, 1e3)
 """Lengths of a stage's unit [m]: from micrometres to kilometres."""
@@ -141,13 +145,60 @@ def fog_words(name: str) -> list[tuple[str, float, dict[str, str]]] | None:
     >>> fog_words("mor75.5_g0.8_scale20"), fog_words("rain10+mor400"), fog_words("dense")
     ([('mor', 75.5, {'g': '0.8', 'scale': '20'})], [('rain', 10.0, {}), ('mor', 400.0, {})], None)
     """
-    parts = []
+    parts: list[tuple[str, float, dict[str, str]]] = []
     for part in name.split("+"):
-        if (match := _FOG.fullmatch(part)) is None or float(match[2]) == 0.0:
+        if (match := _FOG.fullmatch(part)) is None or fog_fault(part):
             return None
         words = re.findall(rf"_({'|'.join(FOG_WORDS)})(-?[a-z\d.]+)", match[3])
         parts.append((match[1], float(match[2]), dict(words)))
     return parts
+
+
+def fog_fault(name: str) -> str:
+    """Why a name that begins as a medium's does is none, and what to write; '' of a good one, and of a variant's name.
+
+    >>> fog_fault("rain0"), fog_fault("dense")
+    ('a rate is 0.01 to 1000 mm/h, as in rain10; no rain is clear', '')
+    """
+    parts = name.split("+")
+    for part in parts:
+        if part == "":
+            return "+ stands between two media, as in rain10+mor400"
+        if (match := _LIKE_FOG.fullmatch(part)) is None:
+            return ""
+        kind, number, more = match.groups()
+        if kind not in MEDIA:
+            if number is None and len(parts) == 1:
+                return ""
+            return f"{kind!r} is no medium; they are {', '.join(MEDIA)}.{did_you_mean(kind.lower(), MEDIA)}"
+        if fault := _fault_of(kind, number, more):
+            return fault
+    return ""
+
+
+def _fault_of(kind: str, number: str | None, more: str) -> str:
+    """`fog_fault` of one medium, by its parts."""
+    what, example = ("a rate [mm/h]", f"{kind}10") if kind in RATED else ("a visibility [m]", f"{kind}150")
+    if number is None:
+        return f"{kind} has {what} behind it, as in {example}"
+    try:
+        value = float(number)
+    except ValueError:
+        return f"{number!r} is no number; {kind} has {what} behind it, as in {example}"
+    if kind in RATED and not RATES_MM_H[0] <= value <= RATES_MM_H[1]:
+        return f"a rate is {RATES_MM_H[0]:g} to {RATES_MM_H[1]:g} mm/h, as in {example}; no {kind} is clear"
+    if kind not in RATED and not value > 0.0:
+        return f"a visibility is above 0 m, as in {example}"
+    if not re.fullmatch(r"\d+(\.\d+)?", number):
+        return f"{number!r} is written in digits, as in {example}"
+    for word in more.split("_")[1:]:
+        near = next((name for name in FOG_WORDS if word.startswith(name)), None)
+        if near is None:
+            begin = word.rstrip("-.0123456789")
+            return f"{begin!r} is none of {', '.join(FOG_WORDS)}.{did_you_mean(begin, FOG_WORDS)}"
+        if word == near:
+            return f"{near!r} has a value behind it"
+    return ""
 
 
 def check_visibility(name: str, metres: float) -> None:

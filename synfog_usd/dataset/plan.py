@@ -251,11 +251,12 @@ def _chosen(kind: str, names: Sequence[str] | None, offered: Sequence[str]) -> l
     for name in names:
         if name in (*offered, AS_AUTHORED) or (kind == "fog" and visibility_of(name) is not None):
             continue
+        fault = f"{why}; " if kind == "fog" and (why := numbers.fog_fault(name)) else ""
         allowed = ", ".join(offered) or f"no variant set {kind!r}"
         extra = ", clear, mor<metres>, rain<mm/h>, or others of docs/weather.md" if kind == "fog" else ""
         raise ParameterError(
-            f"--{kind} {name}: the stage has {allowed}; it also takes {AS_AUTHORED}, for what it has without a "
-            f"choice{extra}.{did_you_mean(name, (*offered, AS_AUTHORED))}"
+            f"--{kind} {name}: {fault}the stage has {allowed}; it also takes {AS_AUTHORED}, for what it has "
+            f"without a choice{extra}.{did_you_mean(name, (*offered, AS_AUTHORED))}"
         )
     return list(dict.fromkeys(names))
 

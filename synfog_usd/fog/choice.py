@@ -13,14 +13,14 @@ from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
 from synfog_usd.fog.medium import WMO_CONTRAST, FogMedium, extinction_from_visibility
+from synfog_usd.fog.patchy import patchy
 from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 
 CLEAR = "clear"
 PHASES = ("hg", "droplets", "mie")
 PROFILES = ("uniform", "exponential")
-WORDS = {
-    word: {"diameter": "droplet_diameter_um", "scale": "scale_height_m"}.get(word, word) for word in numbers.FOG_WORDS
-}
+_LONGER = {"diameter": "droplet_diameter_um", "scale": "scale_height_m", "patch": "outer_scale_m"}
+WORDS = {word: _LONGER.get(word, word) for word in numbers.FOG_WORDS}
 """What stands in a name -> attribute of `Fog`."""
 
 
@@ -39,6 +39,9 @@ class Fog:
         angstrom: exponent [1] by which fog is thinner for longer wavelengths, -1 to 5.
         profile: 'uniform', or 'exponential' in height; exponential where a scale height is given.
         scale_height_m: height [m] over which the fog thins by e.
+        outer_scale_m: of patches [m], 0.5 to 1000, see `fog.patchy`; `mor_m` is then the mean fog's.
+        deviation: of patches, standard deviation of the density over its mean [1], 0 to 2; 0.5 where left out.
+        seed: of patches, 0 or more; 0 where left out.
         kind: 'haze', 'mist', 'smoke', 'dust', 'spray', 'rain' or 'snow', whose tables say where it sends light; None
             for fog.
         rate_mm_h: of rain or snow [mm/h of water], 0.01 to 1000.
@@ -61,6 +64,9 @@ class Fog:
     angstrom: float | None = None
     profile: Literal["uniform", "exponential"] | None = None
     scale_height_m: float | None = None
+    outer_scale_m: float | None = None
+    deviation: float | None = None
+    seed: int | None = None
     kind: Literal["haze", "mist", "smoke", "dust", "spray", "rain", "snow"] | None = None
     rate_mm_h: float | None = None
     also: tuple[Fog, ...] = ()
@@ -79,8 +85,21 @@ class Fog:
             raise ParameterError("fog: phase 'droplets' and 'mie' need droplet_diameter_um [um], and no other takes it")
         if self.g is not None and self.phase not in (None, "hg"):
             raise ParameterError(f"fog: g is Henyey-Greenstein's; phase {self.phase!r} is shaped by its droplets")
+        self._check_patches()
         if not self.clear:
             self.over(FogMedium(1.0))
+
+    def _check_patches(self) -> None:
+        if self.outer_scale_m is None and (self.deviation, self.seed) != (None, None):
+            raise ParameterError(
+                "fog: deviation and seed are of patches, which have an outer scale, as in mor150_patch8"
+            )
+        if self.outer_scale_m is not None and (self.profile, self.scale_height_m) != (None, None):
+            raise ParameterError("fog: patches are the same at all heights; leave out the profile and the scale height")
+        if self.seed is not None:
+            if self.seed != int(self.seed):
+                raise ParameterError(f"fog: seed {self.seed:g}: not a whole number")
+            object.__setattr__(self, "seed", int(self.seed))
 
     def _check_kind(self) -> None:
         if self.kind not in (None, *KINDS) or self.kind == FOG:
@@ -99,6 +118,11 @@ class Fog:
     def clear(self) -> bool:
         """Whether it is clear air."""
         return self.mor_m is not None and math.isinf(self.mor_m)
+
+    @property
+    def kinds(self) -> list[tuple[str | None, float | None]]:
+        """Kind and rate [mm/h] of each medium in it."""
+        return [(medium.kind, medium.rate_mm_h) for medium in (self, *self.also)]
 
     @property
     def name(self) -> str:
@@ -144,6 +168,9 @@ class Fog:
             changes["phase"] = self._phase
         if "profile" in changes:
             changes["grid"] = None
+        if self.outer_scale_m is not None:
+            deviation = 0.5 if self.deviation is None else self.deviation
+            changes |= {"profile": "grid", "grid": patchy(self.outer_scale_m, deviation, seed=self.seed or 0)}
         if "albedo" in changes or "angstrom" in changes:
             changes["colours"] = None
         if self.kind is None:

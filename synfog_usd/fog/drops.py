@@ -19,9 +19,7 @@ from scipy.special import gamma
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
-
-RATES_MM_H = (0.01, 1000.0)
-"""Rates [mm/h of water] that are taken: from drizzle's edge to three times the heaviest rain in an hour."""
+from synfog_usd.base.numbers import RATES_MM_H
 
 HEAVIEST_MM_H = {"rain": 100.0, "snow": 10.0}
 """Rates [mm/h] up to which the distributions were measured: Marshall and Palmer's, and Sekhon and Srivastava's."""

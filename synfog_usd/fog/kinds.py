@@ -103,8 +103,8 @@ def joined(media: Sequence[FogMedium]) -> FogMedium:
         return first
     if len({(medium.profile, medium.base_height_m, medium.scale_height_m, medium.grid) for medium in media}) > 1:
         raise ParameterError(
-            "media in one place are all uniform, or of one scale height, or of one grid: name the same profile and "
-            "scale for each"
+            "media in one place are all uniform, or of one scale height, or of one grid: name the same profile, scale "
+            "or patches for each"
         )
     extinction = np.array([medium.sigma_t_per_m for medium in media])
     scattering = extinction * [medium.albedo for medium in media]

@@ -288,7 +288,7 @@ def fog_around(
 def _overridden(
     volumes: tuple[FogVolume, ...], fog: Fog, eye: Array, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    volume.warn_beyond("", fog, notes)
+    volume.warn_beyond("", fog.kinds, notes)
     if volumes or fog.clear:
         return volume.in_fog(volumes, fog)
     slab = volume.slab_around(fog, bounds_m[0], bounds_m[1], eye)

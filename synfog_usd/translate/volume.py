@@ -20,6 +20,7 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.base.arrays import Array, distinct
 from synfog_usd.base.errors import ParameterError, StageError, did_you_mean
+from synfog_usd.base.numbers import fog_fault
 from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.drops import HEAVIEST_MM_H
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
@@ -444,28 +445,32 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
             medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
     except ParameterError as problem:
         raise fault("rate" if rate is not None else "kind", str(problem)) from problem
-    if rate is not None:
-        warn_beyond(attributes.path, Fog(kind=kind, rate_mm_h=rate), notes)
+    warn_beyond(attributes.path, [(kind, rate)], notes)
     if not also:
         return medium
     try:
         if (more := Fog.named(also)) is None or more.clear:
-            raise ParameterError("it takes names of media, as rain10 or rain10+haze2000")
-        warn_beyond(attributes.path, more, notes)
+            raise ParameterError(fog_fault(also) or "it takes names of media, as rain10 or rain10+haze2000")
+        warn_beyond(attributes.path, more.kinds, notes)
         added = more.over(medium)
         return joined([medium, replace(added, sigma_t_per_m=added.sigma_t_per_m * densest)])
     except ParameterError as problem:
         raise fault("also", str(problem)) from problem
 
 
-def warn_beyond(path: str, fog: Fog, notes: Diagnostics) -> None:
-    """Note a rate of rain or snow at which nobody measured the sizes of the drops."""
-    for medium in (fog, *fog.also):
-        if medium.rate_mm_h is not None and medium.rate_mm_h > (most := HEAVIEST_MM_H[str(medium.kind)]):
+def warn_beyond(path: str, media: Sequence[tuple[str | None, float | None]], notes: Diagnostics) -> None:
+    """Note where a medium, by its kind and rate [mm/h], leaves what its tables were measured for."""
+    for kind, rate in media:
+        if kind is not None and rate is not None and rate > (most := HEAVIEST_MM_H[kind]):
             notes.warn(
                 path,
-                f"{medium.kind} of {medium.rate_mm_h:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are "
-                f"a guess here",
+                f"{kind} of {rate:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a guess here",
+            )
+        if kind == "dust":
+            notes.info(
+                path,
+                "dust: its grains are drawn as spheres; real ones send more light to the side, which shows beside "
+                "lamps at night",
             )
 
 

@@ -105,6 +105,7 @@ def test_a_name_that_no_stage_has_is_refused_before_anything_is_made(tmp_path):
     for words, told in (
         ({"lightings": ["own"]}, r"lightings has 'own', .* they have authored, day\."),
         ({"lightings": ["autored"]}, r"lightings has 'autored', .* Did you mean 'authored'\?"),
+        ({"fogs": ["hail3"]}, r"fogs has 'hail3': 'hail' is no medium"),
         ({"fogs": ["thik"]}, r"fogs has 'thik', .* authored, thick, and all take clear .* Did you mean 'thick'\?"),
     ):
         with pytest.raises(SetError, match=told):

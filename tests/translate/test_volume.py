@@ -144,6 +144,12 @@ def test_a_rate_that_nobody_measured_is_noted(empty, how):
     assert any("rain of 200 mm/h" in note.text and note.path == "" for note in over)
 
 
+def test_dust_says_what_its_spheres_get_wrong(empty):
+    stage = empty()
+    fog_box(stage, "/Fog", also="dust500")
+    assert any("drawn as spheres" in note.text and note.path == "/Fog" for note in translate(stage).notes)
+
+
 @pytest.mark.parametrize("phase, diameter", [("droplets", 5.0), ("droplets", None), ("mie", 1e4)])
 def test_droplets_of_no_size_are_refused(empty, phase, diameter):
     """A phase function that is made from the diameter needs one, within the range of its fit or series."""

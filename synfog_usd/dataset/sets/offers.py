@@ -13,6 +13,7 @@ from pathlib import Path
 
 from synfog_usd.base import isolated
 from synfog_usd.base.errors import SetError, StageError, did_you_mean
+from synfog_usd.base.numbers import fog_fault
 from synfog_usd.dataset.plan import AS_AUTHORED, offered_names, visibility_of
 from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS, Offer, SetDefinition
 
@@ -65,8 +66,6 @@ def with_offers(
     stages = dict.fromkeys(path for source in definition.sources for path in source.stages)
     offers = {**definition.offers, **read([path for path in stages if path not in definition.offers])} if stages else {}
     definition = replace(definition, offers=offers)
-    if not stages:
-        return definition
     recipes = any(source.recipe for source in definition.sources)
     for kind, section in KINDS.items():
         there = {AS_AUTHORED: None} | {name: None for path in stages for name in offers[path].get(kind, ())}
@@ -74,7 +73,11 @@ def with_offers(
         for distribution in definition.lightings if kind == "lighting" else definition.fogs:
             for name in distribution.values if distribution.kind in ("fixed", "choice") else ():
                 usual = name in RECIPE_LIGHTINGS if kind == "lighting" else not isinstance(name, str) or _free(name)
-                if not usual and name not in there and not (recipes and kind == "fog"):
+                if usual or name in there:
+                    continue
+                if kind == "fog" and (fault := fog_fault(name)):
+                    raise SetError(f"{definition.name}: {section} has {name!r}: {fault}")
+                if not (recipes and kind == "fog"):
                     free = ", and all take clear and visibilities" if kind == "fog" else ""
                     raise SetError(
                         f"{definition.name}: {section} has {name!r}, which no stage of the set has; they have "
