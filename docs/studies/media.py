@@ -23,44 +23,26 @@ WAVELENGTHS_NM = (
     1700,
 )  # fmt: skip
 
-_NM = (350, 400, 450, 500, 550, 600, 650, 700, 750, 800, 900, 1000, 1250, 1500, 1750)
-_WATER = (
-    (1.343, 1.339, 1.337, 1.335, 1.333, 1.332, 1.331, 1.331, 1.330, 1.329, 1.328, 1.327, 1.323, 1.321, 1.313),
-    (6.5e-9, 1.86e-9, 1.02e-9, 1e-9, 1.96e-9, 1.09e-8, 1.64e-8, 3.35e-8, 1.56e-7, 1.25e-7, 4.86e-7, 2.89e-6, 8.7e-6,
-     2e-4, 1e-4),
-)  # fmt: skip
-_SOOT = (
-    (1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.75, 1.76, 1.76, 1.77, 1.79),
-    (0.465, 0.46, 0.455, 0.45, 0.44, 0.435, 0.435, 0.43, 0.43, 0.43, 0.435, 0.44, 0.45, 0.46, 0.48),
-)
-_MINERAL = (
-    (1.53,) * 15,
-    (1.7e-2, 1.3e-2, 8.5e-3, 7.8e-3, 5.5e-3, 4.5e-3, 4.5e-3, 4e-3, 4e-3, 4e-3, 4e-3, 4e-3, 5e-3, 5.7e-3, 6.4e-3),
-)
-"""Real and imaginary refractive indices at `_NM`: d'Almeida, Koepke and Shettle (1991), as OPAC has them (Hess, Koepke
-and Schult, Bull. Amer. Meteor. Soc. 79, 831 (1998)); water's is Hale and Querry's (1973)."""
-
 
 @dataclass(frozen=True)
 class Spheres:
     """Spheres of one size distribution, with 1 or 100 of them in a cm^3, and the radii [um] that count."""
 
     sizes: Sizes
-    index: tuple[tuple[float, ...], tuple[float, ...]]
+    material: str
     radii_um: tuple[float, float]
 
     def index_at(self, wavelength_nm: float) -> complex:
         """n - ik."""
-        real, imaginary = (float(np.interp(wavelength_nm, _NM, part)) for part in self.index)
-        return complex(real, -imaginary)
+        return mie.index(self.material, wavelength_nm)
 
 
 SPHERES = {
-    "haze": Spheres(GammaSizes.of_radii(100.0, 2.0, 0.5, 0.07), _WATER, (0.005, 20.0)),
-    "mist": Spheres(GammaSizes.of_radii(200.0, 6.0, 1.0, 2.0), _WATER, (0.05, 20.0)),
-    "smoke": Spheres(LogNormalSizes(1e6, 2.0 * 0.0118e-3, 2.0), _SOOT, (0.005, 20.0)),
-    "dust": Spheres(LogNormalSizes(1e6, 2.0 * 0.5e-3, 2.2), _MINERAL, (0.02, 5.0)),
-    "spray": Spheres(GammaSizes.of_radii(100.0, 6.0, 1.0, 4.0), _WATER, (0.05, 40.0)),
+    "haze": Spheres(GammaSizes.of_radii(100.0, 2.0, 0.5, 0.07), "water", (0.005, 20.0)),
+    "mist": Spheres(GammaSizes.of_radii(200.0, 6.0, 1.0, 2.0), "water", (0.05, 20.0)),
+    "smoke": Spheres(LogNormalSizes(1e6, 2.0 * 0.0118e-3, 2.0), "soot", (0.005, 20.0)),
+    "dust": Spheres(LogNormalSizes(1e6, 2.0 * 0.5e-3, 2.2), "mineral", (0.02, 5.0)),
+    "spray": Spheres(GammaSizes.of_radii(100.0, 6.0, 1.0, 4.0), "water", (0.05, 40.0)),
 }
 """Kind -> its spheres, see `synfog_usd.fog.kinds`."""
 
@@ -80,7 +62,8 @@ def rain(wavelength_nm: float, angles_deg: Array) -> tuple[float, Array]:
 
     Source: van de Hulst (1957), chapter 12.
     """
-    real, imaginary = (float(np.interp(wavelength_nm, _NM, part)) for part in _WATER)
+    water = mie.index("water", wavelength_nm)
+    real, imaginary = water.real, -water.imag
     u = (np.arange(200000) + 0.5) / 200000  # square of the impact parameter: equal areas
     sine = np.sqrt(u)
     incident, refracted = np.arcsin(sine), np.arcsin(sine / real)

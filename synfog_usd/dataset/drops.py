@@ -126,10 +126,10 @@ def falling_in(scene: SceneDict) -> list[SizeClasses]:
     around = {volume.parent for volume in inside.values()}
     of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
     return [
-        of_kind[kind](rate)
+        of_kind[kind](sizes)
         for index, volume in inside.items()
         if index not in around and volume.medium.grid is None
-        for kind, rate in volume.medium.falls
+        for kind, sizes in volume.medium.falls
     ]
 
 

@@ -11,6 +11,7 @@ wavelengths.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from scipy.special import gamma
 
 from synfog_usd.base.arrays import Array
-from synfog_usd.base.errors import ParameterError
+from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.base.numbers import RATES_MM_H
 
 HEAVIEST_MM_H = {"rain": 100.0, "snow": 10.0}
@@ -153,6 +154,65 @@ def gunn_marshall_sizes(rate_mm_h: float) -> GammaSizes:
     return GammaSizes(3800.0 * rate**-0.87, 0.0, 2.55 * rate**-0.48)
 
 
+RATED_SIZES: Mapping[str, tuple[str, Callable[[float], GammaSizes]]] = {
+    "marshall-palmer": ("rain", rain_sizes),
+    "sekhon-srivastava": ("snow", snow_sizes),
+    "gunn-marshall": ("snow", gunn_marshall_sizes),
+}
+"""Name -> the kind that it is of, and its sizes at a rate [mm/h]; of a kind the first is usual."""
+
+DROPLETS: Mapping[str, tuple[float, float, float, float]] = {
+    "heavy-advection-fog": (20.0, 3.0, 1.0, 10.0),
+    "moderate-advection-fog": (20.0, 3.0, 1.0, 8.0),
+    "chu-hogg-fog": (20.0, 2.0, 0.5, 1.0),
+    "strong-spray": (100.0, 6.0, 1.0, 4.0),
+    "moderate-spray": (100.0, 6.0, 1.0, 2.0),
+    "coastal-haze": (100.0, 1.0, 0.5, 0.05),
+    "continental-haze": (100.0, 2.0, 0.5, 0.07),
+}
+"""Name -> number [1/cm^3], alpha, power and mode [um] of `GammaSizes.of_radii`: Rasshofer, Spies and Spies, Adv. Radio
+Sci. 9, 49 (2011), table 1."""
+
+PARAMETERS = {"gamma": ("number", "alpha", "power", "mode"), "lognormal": ("number", "median", "spread")}
+"""Shapes of a distribution of radii -> their numbers: particles [1/cm^3], alpha and power [1], most frequent or median
+radius [um], geometric standard deviation [1]."""
+
+SIZES = (*RATED_SIZES, *DROPLETS, *PARAMETERS)
+
+
+def sizes_of(name: str, kind: str, rate_mm_h: float | None = None, **numbers: float) -> Sizes:
+    """Sizes by the name of a distribution; of flakes by the drop that each melts to.
+
+    Args:
+        name: one of `SIZES`.
+        kind: of medium.
+        rate_mm_h: of rain or snow [mm/h of water], for `RATED_SIZES`.
+        numbers: what `PARAMETERS` has for the name.
+
+    Raises:
+        ParameterError: no such name, one of another kind, a number that is missing, too much or without a meaning.
+    """
+    if name not in SIZES:
+        raise ParameterError(f"sizes {name!r}: they are {', '.join(SIZES)}.{did_you_mean(name, SIZES)}")
+    wanted = PARAMETERS.get(name, ())
+    if wrong := sorted(set(wanted) ^ set(numbers)):
+        raise ParameterError(f"sizes {name!r} take {', '.join(wanted) or 'no numbers'}; see {', '.join(wrong)}")
+    if name in RATED_SIZES:
+        of_kind, at_rate = RATED_SIZES[name]
+        if kind != of_kind or rate_mm_h is None:
+            raise ParameterError(f"sizes {name!r} are those of {of_kind} of a rate [mm/h]")
+        return at_rate(rate_mm_h)
+    if rate_mm_h is not None:
+        raise ParameterError(f"sizes {name!r} have a number of their own, and no rate; leave one of them out")
+    if name in DROPLETS:
+        if kind not in ("fog", "haze", "mist", "spray"):
+            raise ParameterError(f"sizes {name!r} are of droplets, and {kind} has none")
+        return GammaSizes.of_radii(*DROPLETS[name])
+    if name == "gamma":
+        return GammaSizes.of_radii(*(numbers[word] for word in wanted))
+    return LogNormalSizes(1e6 * numbers["number"], 2e-3 * numbers["median"], numbers["spread"])
+
+
 def rain_speed(diameter_mm: npt.ArrayLike) -> Array:
     """Terminal speed [m/s] of drops of diameters [mm], >= 0, any shape, at sea level.
 
@@ -181,17 +241,14 @@ def water(sizes: Sizes) -> float:
     return 1e-3 * math.pi / 6.0 * sizes.moment(3.0)
 
 
-def rain_extinction(rate_mm_h: float, efficiency: float = BEAM) -> float:
-    """Extinction [1/m] of rain: its drops' cross sections, times `BEAM` or `PICTURE`."""
-    return 1e-6 * efficiency * math.pi / 4.0 * rain_sizes(rate_mm_h).moment(2.0)
+def extinction(kind: str, sizes: Sizes, efficiency: float = BEAM) -> float:
+    """Extinction [1/m] of 'rain' or dry 'snow' of given sizes: its cross sections, times `BEAM` or `PICTURE`.
 
-
-def snow_extinction(rate_mm_h: float, efficiency: float = BEAM) -> float:
-    """Extinction [1/m] of dry snow: its flakes' cross sections, times `BEAM` or `PICTURE`.
-
-    It is in proportion to the water in the air.  Measured snow of one rate differs tenfold (Rasmussen et al. 1999).
+    A flake's cross section goes with the water in it, by `flake_diameter`, so snow's extinction goes with its water.
+    Measured snow of one rate differs tenfold (Rasmussen et al. 1999).
     """
-    return 1e-6 * efficiency * math.pi / 4.0 * snow_sizes(rate_mm_h).moment(3.0) / FLAKE_DENSITY
+    area_mm2 = sizes.moment(2.0) if kind == "rain" else sizes.moment(3.0) / FLAKE_DENSITY
+    return 1e-6 * efficiency * math.pi / 4.0 * area_mm2
 
 
 def _checked(kind: str, rate_mm_h: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array, Flags
 from synfog_usd.base.seeds import stream
-from synfog_usd.fog.drops import Sizes, flake_diameter, rain_sizes, rain_speed, snow_sizes, snow_speed
+from synfog_usd.fog.drops import Sizes, flake_diameter, rain_speed, snow_speed
 
 NEAR_M, FAR_M = 0.25, 12.0
 """Distances between which drops are drawn [m]: nearer ones are wide veils out of focus, farther ones a veil of many."""
@@ -45,15 +45,15 @@ class SizeClasses:
     sway: float = 0.0
 
     @classmethod
-    def of_rain(cls, rate_mm_h: float) -> SizeClasses:
-        """Drops of rain of a rate [mm/h]."""
-        edges, per_m3 = _numbers(rain_sizes(rate_mm_h))
+    def of_rain(cls, sizes: Sizes) -> SizeClasses:
+        """Drops of rain."""
+        edges, per_m3 = _numbers(sizes)
         return cls(1e-3 * edges, per_m3, rain_speed(edges))
 
     @classmethod
-    def of_snow(cls, rate_mm_h: float) -> SizeClasses:
-        """Flakes of dry snow of a rate of water [mm/h]."""
-        edges, per_m3 = _numbers(snow_sizes(rate_mm_h))
+    def of_snow(cls, sizes: Sizes) -> SizeClasses:
+        """Flakes of dry snow, by the drops that they melt to."""
+        edges, per_m3 = _numbers(sizes)
         flakes = flake_diameter(edges)
         return cls(1e-3 * flakes, per_m3, snow_speed(flakes), SWAY)
 

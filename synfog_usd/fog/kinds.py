@@ -18,7 +18,8 @@ import numpy as np
 from synfog_usd.base import tables
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError, did_you_mean
-from synfog_usd.fog import drops
+from synfog_usd.fog import drops, mie
+from synfog_usd.fog.drops import Sizes
 from synfog_usd.fog.medium import Colours, FogMedium, extinction_from_visibility
 from synfog_usd.fog.phase import HenyeyGreenstein, Phase, Tabulated
 
@@ -60,36 +61,47 @@ KINDS = {
 }
 
 
-def medium_of(kind: str, *, mor_m: float | None = None, rate_mm_h: float | None = None) -> FogMedium:
+def medium_of(
+    kind: str, *, mor_m: float | None = None, rate_mm_h: float | None = None, sizes: Sizes | None = None
+) -> FogMedium:
     """A uniform medium of a kind, as a picture shows it.
 
     Args:
         kind: one of `KINDS`.
         mor_m: meteorological optical range [m].
         rate_mm_h: of rain or snow [mm/h of water], 0.01 to 1000; instead of `mor_m`.
+        sizes: other ones than the kind has by itself, by the theory of Lorenz and Mie, or of rain and snow as the rest
+            of it; where there is neither of the two, as many as they say.
 
     Raises:
-        ParameterError: no such kind, a value outside its range, both values or none.
+        ParameterError: no such kind, a value outside its range, both values or none, or miepython is missing.
     """
     if kind not in KINDS:
         raise ParameterError(f"kind {kind!r}: it takes {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}")
-    if (mor_m is None) == (rate_mm_h is None):
+    if (mor_m is None) == (rate_mm_h is None) and (mor_m is not None or sizes is None):
         raise ParameterError(f"{kind}: it takes a visibility [m] or a rate [mm/h], and one of them")
     if rate_mm_h is not None and not KINDS[kind].rated:
         raise ParameterError(f"{kind}: it takes a visibility [m]; rain and snow take a rate [mm/h]")
-    if rate_mm_h is None:
-        assert mor_m is not None
-        sigma_t = float(extinction_from_visibility(mor_m))
-    elif kind == "rain":
-        sigma_t = drops.rain_extinction(rate_mm_h, drops.PICTURE)
+    if KINDS[kind].rated:
+        colours, phase = _colours(kind), _phase(kind)
+        if rate_mm_h is not None and sizes is None:
+            sizes = drops.rain_sizes(rate_mm_h) if kind == "rain" else drops.snow_sizes(rate_mm_h)
+        sigma_t = 0.0 if sizes is None else drops.extinction(kind, sizes, drops.PICTURE)
+    elif sizes is not None:
+        sigma_t, colours, phase = _of_spheres(MATERIALS[kind], sizes)
+    elif kind == FOG:
+        return FogMedium(_extinction(mor_m))
     else:
-        sigma_t = drops.snow_extinction(rate_mm_h, drops.PICTURE)
-    if kind == FOG:
-        return FogMedium(sigma_t)
-    colours = _colours(kind)
+        sigma_t, colours, phase = 0.0, _colours(kind), _phase(kind)
+    falls = ((kind, sizes),) if KINDS[kind].rated and sizes is not None and mor_m is None else ()
     albedo = 1.0 if colours is None else float(colours.albedo_at(550.0))
-    falls = () if rate_mm_h is None else ((kind, rate_mm_h),)
-    return FogMedium(sigma_t, albedo, phase=_phase(kind), colours=colours, falls=falls)
+    sigma_t = sigma_t if mor_m is None else _extinction(mor_m)
+    return FogMedium(sigma_t, albedo, phase=phase, colours=colours, falls=falls)
+
+
+def _extinction(mor_m: float | None) -> float:
+    assert mor_m is not None
+    return float(extinction_from_visibility(mor_m))
 
 
 def joined(media: Sequence[FogMedium]) -> FogMedium:
@@ -136,6 +148,28 @@ def _mixed(phases: Sequence[Phase], scattering: Array) -> Phase:
     shares = scattering / scattering.sum()
     values = sum(share * phase.value(cosines) for share, phase in zip(shares, phases, strict=True))
     return Tabulated(cosines, np.asarray(values), "a mixture")
+
+
+MATERIALS = {FOG: "water", "haze": "water", "mist": "water", "spray": "water", "smoke": "soot", "dust": "mineral"}
+"""Kind -> what its spheres are of, see `mie.index`."""
+
+_MIE_NM = (380.0, 420.0, 460.0, 500.0, 550.0, 600.0, 650.0, 700.0, 800.0, 1000.0, 1250.0, 1500.0, 1700.0)
+
+
+@functools.lru_cache(maxsize=16)
+def _of_spheres(material: str, sizes: Sizes) -> tuple[float, Colours, Phase]:
+    """(extinction [1/m] at 550 nm, colours, phase function at 550 nm) of spheres, as `docs/studies/media.py` has the
+    tables; takes ten seconds.
+    """
+    radii_um = mie.radii_of(sizes)
+    rows = [mie.optics(sizes, mie.index(material, nm), nm, radii_um) for nm in _MIE_NM]
+    per_m = np.array([row.extinction_per_m for row in rows])
+    at_550 = float(per_m[_MIE_NM.index(550.0)])
+    colours = Colours(_MIE_NM, tuple((per_m / at_550).tolist()), tuple(row.albedo for row in rows))
+    cosines = np.cos(np.radians(tables.table("media_phase")["angle_deg"]))[::-1]
+    x, numbers = mie.weighted(sizes, 550.0, radii_um)
+    values = mie.intensity(mie.index(material, 550.0), x, numbers, cosines)
+    return at_550, colours, Tabulated(cosines, values, f"{material} of stated sizes")
 
 
 @functools.cache

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
+from synfog_usd.fog.drops import Sizes
 from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.fog.phase import HenyeyGreenstein, Phase
 
@@ -105,7 +106,7 @@ class FogMedium:
         grid: relative densities in the boundary's box; with profile 'grid' and only then.
         contrast: threshold [1] at which its visibility is stated.
         colours: extinction and albedo by wavelength, instead of `angstrom`; None for what is grey.
-        falls: kind and rate [mm/h of water] of the rain and snow in it, where its density is 1.
+        falls: kind and sizes of the rain and snow in it, where its density is 1.
     """
 
     sigma_t_per_m: float
@@ -119,7 +120,7 @@ class FogMedium:
     grid: DensityGrid | None = None
     contrast: float = WMO_CONTRAST
     colours: Colours | None = None
-    falls: tuple[tuple[str, float], ...] = ()
+    falls: tuple[tuple[str, Sizes], ...] = ()
 
     def __post_init__(self) -> None:
         if self.phase is not None:

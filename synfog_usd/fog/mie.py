@@ -13,12 +13,17 @@ from types import ModuleType
 
 import numpy as np
 
+from synfog_usd.base import tables
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.fog.drops import Sizes
 
 SIZES = 400
 """Radii of a distribution, even in the logarithm: with more of them extinctions move by 0.3 % at most."""
+
+
+LARGEST_UM = 100.0
+"""Radius [um] of spheres whose series is summed; larger ones take minutes, and are drops of rain."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,31 @@ def optics(sizes: Sizes, index: complex, wavelength_nm: float, radii_um: tuple[f
     area = numbers * np.pi * (x * wavelength_nm * 1e-9 / (2.0 * np.pi)) ** 2
     total, scattered = float(area @ extinction), float(area @ scattering)
     return Optics(total, scattered / total, float(area @ (scattering * g)) / scattered)
+
+
+def index(material: str, wavelength_nm: float) -> complex:
+    """n - ik of 'water', 'soot' or 'mineral' at a wavelength [nm], 350 to 1750; straight lines between the rows.
+
+    Source: d'Almeida, Koepke and Shettle (1991), as OPAC has them (Hess, Koepke and Schult, Bull. Amer. Meteor. Soc.
+    79, 831 (1998)); water's is Hale and Querry's (1973).
+    """
+    table = tables.table("refractive")
+    n, k = (float(np.interp(wavelength_nm, table["wavelength_nm"], table[f"{material}_{part}"])) for part in "nk")
+    return complex(n, -k)
+
+
+def radii_of(sizes: Sizes) -> tuple[float, float]:
+    """Radii [um] between which nearly all of the cross section is, 1e-6 of it aside at either end.
+
+    Raises:
+        ParameterError: the largest are above `LARGEST_UM`.
+    """
+    radii = np.geomspace(1e-3, 1e4, 4001)
+    area = np.cumsum(radii**3 * sizes.density(2e-3 * radii))
+    low, high = np.interp([1e-6, 1.0 - 1e-6], area / area[-1], radii)
+    if not high <= LARGEST_UM:
+        raise ParameterError(f"spheres of up to {high:.3g} um radius: the series is summed up to {LARGEST_UM:g} um")
+    return float(low), float(high)
 
 
 def weighted(sizes: Sizes, wavelength_nm: float, radii_um: tuple[float, float]) -> tuple[Array, Array]:

@@ -47,11 +47,21 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
         "kind": "fog",
         "rate": None,
         "also": "",
+        "sizes": "",
+        "number": None,
+        "alpha": None,
+        "power": None,
+        "mode": None,
+        "median": None,
+        "spread": None,
     }
 )
 """Fallback values, the same as in the schema; None for none."""
 
-OF_MEDIUM = ("kind", "rate", "also")
+OF_SIZES = ("number", "alpha", "power", "mode", "median", "spread")
+"""Numbers of a size distribution that has no name."""
+
+OF_MEDIUM = ("kind", "rate", "also", "sizes", *OF_SIZES)
 """Names of `DEFAULTS` that have the prefix `synfog:medium:`."""
 
 _USER_PREFIXES = (
@@ -160,7 +170,7 @@ def _name_of(property_name: str) -> str | None:
 def _checked(prim: Usd.Prim, full_name: str, name: str, value: object) -> bool | int | float | str | Sdf.AssetPath:
     shown = " ".join(repr(value).split())
     shown = shown if len(shown) < 80 else f"{shown[:79]}…"
-    if name in ("phase", "profile", "kind", "also"):
+    if name in ("phase", "profile", "kind", "also", "sizes"):
         if not isinstance(value, str):
             raise StageError(
                 f"{prim.GetPath()}: {full_name} = {shown} is not a word; it takes for example {DEFAULTS[name]!r}"

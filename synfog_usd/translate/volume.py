@@ -22,7 +22,7 @@ from synfog_usd.base.arrays import Array, distinct
 from synfog_usd.base.errors import ParameterError, StageError, did_you_mean
 from synfog_usd.base.numbers import fog_fault
 from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
-from synfog_usd.fog.drops import HEAVIEST_MM_H
+from synfog_usd.fog.drops import HEAVIEST_MM_H, Sizes, sizes_of
 from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
 from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
 from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
@@ -31,7 +31,7 @@ from synfog_usd.fog.phase import Droplets, Phase, Tabulated
 from synfog_usd.scene import Camera
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import fence_of
-from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, full_name_of, read_fog
+from synfog_usd.stage.schema import DEFAULTS, OF_SIZES, PREFIX, FogAttributes, full_name_of, read_fog
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import part
 from synfog_usd.translate.implicit import read_implicit
@@ -410,7 +410,7 @@ def _medium(
     if sigma_t is None:
         contrast = values["contrast"]
         sigma_t = float(extinction_from_visibility(values["mor"], contrast=contrast))
-        if "mor" not in authored and values["rate"] is None:
+        if "mor" not in authored and values["rate"] is None and not values["sizes"]:
             notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
     try:
         medium = FogMedium(
@@ -436,15 +436,19 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
     kind, rate, also = (attributes.values[name] for name in ("kind", "rate", "also"))
     if rate is not None and not KINDS[kind].rated:
         raise fault("rate", "rain and snow have a rate; all else has a visibility, synfog:fog:mor")
+    sizes, authored = _sizes(attributes, fault), attributes.attribute_of
     medium = fog
     try:
-        if kind != FOG:
-            of_kind = medium_of(kind, rate_mm_h=rate, mor_m=None if rate is not None else fog.visibility_m)
-            sigma_t = fog.sigma_t_per_m if rate is None else of_kind.sigma_t_per_m * densest
+        if kind != FOG or sizes is not None:
+            counted = rate is not None or (sizes is not None and not {"mor", "sigma_t"} & set(authored))
+            seen_m = None if counted else fog.visibility_m
+            of_kind = medium_of(kind, rate_mm_h=None if sizes is not None else rate, mor_m=seen_m, sizes=sizes)
+            sigma_t = of_kind.sigma_t_per_m * densest if counted else fog.sigma_t_per_m
             names = ("albedo", "phase", "colours", "angstrom", "falls")
             medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
     except ParameterError as problem:
-        raise fault("rate" if rate is not None else "kind", str(problem)) from problem
+        name = "sizes" if sizes is not None else "rate" if rate is not None else "kind"
+        raise fault(name, str(problem)) from problem
     warn_beyond(attributes.path, [(kind, rate)], notes)
     if not also:
         return medium
@@ -456,6 +460,22 @@ def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: F
         return joined([medium, replace(added, sigma_t_per_m=added.sigma_t_per_m * densest)])
     except ParameterError as problem:
         raise fault("also", str(problem)) from problem
+
+
+def _sizes(attributes: FogAttributes, fault: Fault) -> Sizes | None:
+    """The size distribution that is authored, or None for the kind's own."""
+    values, authored = attributes.values, attributes.attribute_of
+    numbers = {name: values[name] for name in OF_SIZES if name in authored}
+    if not values["sizes"]:
+        if numbers:
+            raise fault(
+                min(numbers), "it is a number of synfog:medium:sizes 'gamma' or 'lognormal', which is not authored"
+            )
+        return None
+    try:
+        return sizes_of(values["sizes"], values["kind"], values["rate"], **numbers)
+    except ParameterError as problem:
+        raise fault("sizes", str(problem)) from problem
 
 
 def warn_beyond(path: str, media: Sequence[tuple[str | None, float | None]], notes: Diagnostics) -> None:

@@ -14,7 +14,7 @@ from synfog_usd.dataset.objects import Projection
 from synfog_usd.dataset.plan import Shot
 from synfog_usd.dataset.shot import RenderedShot
 from synfog_usd.fog import FogMedium, FogVolume
-from synfog_usd.fog.drops import rain_extinction
+from synfog_usd.fog.drops import extinction, rain_sizes
 from synfog_usd.fog.falling import Drops, SizeClasses
 from synfog_usd.render.film.aovs import Aovs
 from synfog_usd.render.picture import Rendered
@@ -51,7 +51,7 @@ def shot(medium, *, distance_m=8.0, wall=(1.0, 2.0, 3.0), air=(30.0, 20.0, 10.0)
 
 
 def rain():
-    return FogMedium(rain_extinction(RATE, 1.0), falls=(("rain", RATE),))
+    return FogMedium(extinction("rain", rain_sizes(RATE), 1.0), falls=(("rain", rain_sizes(RATE)),))
 
 
 def test_the_mean_over_drops_is_the_mediums_own_picture():
@@ -59,7 +59,7 @@ def test_the_mean_over_drops_is_the_mediums_own_picture():
     change of it.
     """
     before = shot(rain())
-    sizes, view = SizeClasses.of_rain(RATE), Projection.of(before.scene.camera)
+    sizes, view = SizeClasses.of_rain(rain_sizes(RATE)), Projection.of(before.scene.camera)
     tau = float(sizes.optical_depth(reach_of(sizes, view), np.array(8.0)))
     assert tau > 0.005
     means = np.array(

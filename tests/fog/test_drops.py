@@ -51,15 +51,15 @@ def test_a_distribution_of_radii_has_its_number_and_its_mode():
 @pytest.mark.parametrize("rate", [1.0, 10.0, 25.0, 50.0])
 def test_rain_stops_light_as_published(rate):
     """ITU-R P.1814, table 5 (Japan): 1.58 R^0.63 dB/km; and rain of 25 mm/h has 1 to 3 per km."""
-    per_km = 1000.0 * drops.rain_extinction(rate)
+    per_km = 1000.0 * drops.extinction("rain", drops.rain_sizes(rate))
     assert per_km == pytest.approx(1.58 * rate**0.63 * np.log(10.0) / 10.0, rel=0.005)
-    assert 1.0 <= 1000.0 * drops.rain_extinction(25.0) <= 3.0
+    assert 1.0 <= 1000.0 * drops.extinction("rain", drops.rain_sizes(25.0)) <= 3.0
 
 
 @pytest.mark.parametrize("rate", [10.0, 25.0, 50.0])
 def test_rain_stops_light_as_weber_measured(rate):
     """0.312 R^0.67 per km, which is another measurement: within 7 %."""
-    assert 1000.0 * drops.rain_extinction(rate) == pytest.approx(0.312 * rate**0.67, rel=0.07)
+    assert 1000.0 * drops.extinction("rain", drops.rain_sizes(rate)) == pytest.approx(0.312 * rate**0.67, rel=0.07)
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 25.0])

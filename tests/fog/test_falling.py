@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd.fog.drops import PICTURE, rain_extinction, snow_extinction
+from synfog_usd.fog.drops import PICTURE, extinction, rain_sizes, snow_sizes
 from synfog_usd.fog.falling import NEAR_M, Cone, SizeClasses, falling
 
 ALL_ROUND = Cone(np.array([3.0, -5.0, 1.5]), np.array([0.0, 1.0, 0.0]), math.pi)
@@ -20,7 +20,9 @@ def test_counts_by_size_are_the_distribution():
     """Between D and D' there are N0 (exp(-L D) - exp(-L D')) / L drops in a cubic metre (Marshall and Palmer 1948)."""
     rate, volume = 10.0, 4.0 / 3.0 * math.pi * (4.0**3 - NEAR_M**3)
     slope = 4.1 * rate**-0.21
-    diameters = 1e3 * np.concatenate([around(SizeClasses.of_rain(rate), seed=seed).diameter_m for seed in range(4)])
+    diameters = 1e3 * np.concatenate(
+        [around(SizeClasses.of_rain(rain_sizes(rate)), seed=seed).diameter_m for seed in range(4)]
+    )
     for low, high in ((0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 6.0)):
         wanted = 4 * volume * 8000.0 / slope * (math.exp(-slope * low) - math.exp(-slope * high))
         count = ((diameters > low) & (diameters < high)).sum()
@@ -30,8 +32,8 @@ def test_counts_by_size_are_the_distribution():
 @pytest.mark.parametrize(
     ("sizes", "extinction"),
     [
-        (SizeClasses.of_rain(10.0), rain_extinction(10.0, PICTURE)),
-        (SizeClasses.of_snow(2.0), snow_extinction(2.0, PICTURE)),
+        (SizeClasses.of_rain(rain_sizes(10.0)), extinction("rain", rain_sizes(10.0), PICTURE)),
+        (SizeClasses.of_snow(snow_sizes(2.0)), extinction("snow", snow_sizes(2.0), PICTURE)),
     ],
 )
 def test_what_drops_cover_is_the_mediums_extinction(sizes, extinction):
@@ -43,7 +45,7 @@ def test_what_drops_cover_is_the_mediums_extinction(sizes, extinction):
 
 def test_drops_fall_as_gunn_and_kinzer_measured():
     """4.03, 6.49, 8.06 and 9.09 m/s for 1, 2, 3 and 5 mm (Gunn and Kinzer 1949), from one moment to the next."""
-    sizes, step_s = SizeClasses.of_rain(100.0), 0.02
+    sizes, step_s = SizeClasses.of_rain(rain_sizes(100.0)), 0.02
     before, after = around(sizes), around(sizes, time_s=step_s)
     same, left, right = np.intersect1d(before.diameter_m, after.diameter_m, return_indices=True)
     way = after.place_m[right] - before.place_m[left]
@@ -58,7 +60,7 @@ def test_drops_fall_as_gunn_and_kinzer_measured():
 
 def test_two_cameras_and_two_moments_see_the_same_drops():
     """What both of a pair see, they see in the same place on the stage; and flakes go on along their ways."""
-    sizes = SizeClasses.of_snow(2.0)
+    sizes = SizeClasses.of_snow(snow_sizes(2.0))
     left = Cone(np.array([0.0, 0.0, 1.5]), np.array([0.0, 1.0, 0.0]), 0.6)
     right = Cone(np.array([0.3, 0.0, 1.5]), np.array([0.0, 1.0, 0.0]), 0.6)
     one, other = around(sizes, left), around(sizes, right)
@@ -75,7 +77,7 @@ def test_two_cameras_and_two_moments_see_the_same_drops():
 
 def test_a_view_holds_all_that_it_sees():
     """What a narrow view has of drops is what a camera that sees all around has there, in number."""
-    sizes = SizeClasses.of_rain(100.0)
+    sizes = SizeClasses.of_rain(rain_sizes(100.0))
     view = Cone(np.zeros(3), np.array([0.6, 0.8, 0.0]), 0.5)
     place = around(sizes, view).place_m
     inside = place @ view.axis > math.cos(0.5) * np.linalg.norm(place, axis=1)

@@ -17,7 +17,7 @@ from support.looks import fill
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogMedium, FogVolume, extinction_from_visibility
-from synfog_usd.fog.drops import PICTURE, rain_extinction
+from synfog_usd.fog.drops import PICTURE, extinction, gunn_marshall_sizes, rain_sizes
 from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
@@ -120,7 +120,7 @@ def test_a_kind_and_a_rate_are_read(empty):
     fog_box(stage, "/Fog", kind="rain", rate=10.0, also="haze2000")
     scene = translate(stage)
     (volume,) = scene.fog
-    sigma_t = rain_extinction(10.0, PICTURE) + float(extinction_from_visibility(2000.0))
+    sigma_t = extinction("rain", rain_sizes(10.0), PICTURE) + float(extinction_from_visibility(2000.0))
     assert volume.medium.sigma_t_per_m == pytest.approx(sigma_t)
     assert volume.medium.albedo == pytest.approx(1.0, abs=1e-3)
     assert not [note for note in scene.notes if "visibility" in note.text or "measured" in note.text]
@@ -142,6 +142,51 @@ def test_a_rate_that_nobody_measured_is_noted(empty, how):
     assert any("were measured up to" in note.text and note.path == "/Fog" for note in translate(stage).notes)
     over = translate(stage, fog=Fog(kind="rain", rate_mm_h=200.0)).notes
     assert any("rain of 200 mm/h" in note.text and note.path == "" for note in over)
+
+
+def test_sizes_by_name_are_read(empty):
+    """Gunn and Marshall's snow stops other light than Sekhon and Srivastava's; its flakes are of the same sizes."""
+    stage = empty()
+    fog_box(stage, "/Fog", kind="snow", rate=2.0, sizes="gunn-marshall")
+    (volume,) = translate(stage).fog
+    flakes = gunn_marshall_sizes(2.0)
+    assert volume.medium.sigma_t_per_m == pytest.approx(extinction("snow", flakes, PICTURE))
+    assert volume.medium.falls == (("snow", flakes),)
+
+
+def test_sizes_by_their_numbers_are_as_many_as_they_say(empty):
+    """Rain of 1000 drops a m3 whose radius is lognormal about 0.5 mm: pi/4 d^2 exp(2 ln^2 s) times the number."""
+    stage = empty()
+    fog_box(stage, "/Fog", kind="rain", sizes="lognormal", number=1e-3, median=500.0, spread=1.5)
+    (volume,) = translate(stage).fog
+    per_m = 1000.0 * math.pi / 4.0 * 1e-3**2 * math.exp(2.0 * math.log(1.5) ** 2)
+    assert volume.medium.sigma_t_per_m == pytest.approx(per_m, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"kind": "rain", "sizes": "marshal-palmer"}, "Did you mean 'marshall-palmer'"),
+        ({"kind": "snow", "rate": 2.0, "sizes": "marshall-palmer"}, "are those of rain"),
+        ({"kind": "rain", "sizes": "marshall-palmer"}, "of a rate"),
+        ({"kind": "smoke", "sizes": "strong-spray"}, "are of droplets, and smoke has none"),
+        ({"kind": "rain", "sizes": "gamma", "number": 1.0}, "take number, alpha, power, mode; see alpha, mode, power"),
+        ({"kind": "dust", "sizes": "lognormal", "number": 1.0, "median": 0.5, "spread": 1.0}, "no finite integral"),
+        (
+            {"kind": "rain", "sizes": "gamma", "number": 1.0, "alpha": -2.0, "power": 1.0, "mode": 5.0},
+            "all are above 0",
+        ),
+        ({"kind": "mist", "sizes": "gamma", "number": 1.0, "alpha": 2.0, "power": 1.0, "mode": 500.0}, "up to 100 um"),
+        ({"kind": "dust", "median": 1.0}, "which is not authored"),
+    ],
+    ids=str,
+)
+def test_sizes_without_a_meaning_are_refused(empty, how, words):
+    stage = empty()
+    fog_box(stage, "/Fog", **how)
+    with pytest.raises(StageError, match=rf"^/Fog: synfog:medium:\w+ = .*{words}") as problem:
+        translate(stage)
+    assert "\n" not in str(problem.value)
 
 
 def test_dust_says_what_its_spheres_get_wrong(empty):
