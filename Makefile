@@ -88,7 +88,7 @@ llvm: libs
 	 || $(BIN)/python -c "from synfog_usd.render import backend as b; print('no libLLVM 16 or newer:', b.SCALAR_COST)"
 
 lock:
-	uv pip compile pyproject.toml --universal --extra dev --extra llvm --extra sets --extra benchmark --python-version 3.10 --no-header --no-annotate -o constraints.txt
+	uv pip compile pyproject.toml --universal --extra dev --extra llvm --extra sets --python-version 3.10 --no-header --no-annotate -o constraints.txt
 
 wheel: setup
 	$(BIN)/python -m build

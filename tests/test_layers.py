@@ -26,7 +26,7 @@ BELOW = {
 
 BELOW["dataset"] = set(BELOW)
 BELOW["dataset/sets"] = BELOW["dataset/exports"] = {*BELOW["dataset"], "dataset", "dataset/sets", "dataset/exports"}
-BELOW["lab/study"] = BELOW["lab/benchmark"] = {*BELOW["dataset/sets"], "lab/study", "lab/benchmark"}
+BELOW["lab/study"] = {*BELOW["dataset/sets"], "lab/study"}
 BELOW["cli"] = BELOW["lab/study"]
 
 HEAVY = {
@@ -34,17 +34,13 @@ HEAVY = {
     "MaterialX": {"stage/materialx.py"},
     "mitsuba": {"render"},
     "drjit": {"render"},
-    "OpenImageIO": {"camera", "camera/writers", "lab/study", "translate/texture.py", "world"},
-    "matplotlib": {"lab/study"},
+    "OpenImageIO": {"camera", "camera/writers", "translate/texture.py", "world"},
+    "matplotlib": set(),
     "pyoidn": {"render"},
     "tifffile": {"camera/writers"},
     "imagecodecs": {"camera/writers"},
     "rawpy": {"camera/writers"},
     "pyarrow": {"dataset/sets"},
-    "skimage": {"lab/benchmark"},
-    "flip_evaluator": {"lab/benchmark"},
-    "onnxruntime": {"lab/benchmark"},
-    "pycocotools": {"lab/benchmark"},
     "assets": set(),
 }
 """Library -> where it may be imported; the workshop of what ships nowhere."""
@@ -111,7 +107,7 @@ def test_no_two_classes_have_one_name():
 HELP = """
 import sys
 from synfog_usd.cli.main import main
-for arguments in ["--help"], ["bake", "--help"], ["chart", "--help"], ["compose", "--help"], ["graph", "--help"], ["dataset", "--help"], ["--version"]:
+for arguments in ["--help"], ["bake", "--help"], ["preview", "--help"], ["compose", "--help"], ["graph", "--help"], ["dataset", "--help"], ["--version"]:
     try:
         main(arguments)
     except SystemExit as end:
@@ -131,7 +127,7 @@ def test_help_imports_nothing_heavy():
     loaded = [set(line.split()[1:]) for line in child.stdout.splitlines() if line.startswith("LOADED ")]
     assert len(loaded) == 7
     ours = {name for name in loaded[-1] if name.split(".")[0] == "synfog_usd"}
-    line = {f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset", "benchmark")}
+    line = {f"synfog_usd.cli.{name}" for name in ("main", "options", "worker", "dataset")}
     assert ours == line | {
         f"synfog_usd{part}"
         for part in ("", ".base", ".base.errors", ".base.isolated", ".base.numbers", ".base.system", ".cli")

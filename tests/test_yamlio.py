@@ -10,7 +10,6 @@ from synfog_usd.base.errors import GraphError, SetError
 from synfog_usd.camera.profiles import load_sensor
 from synfog_usd.camera.template import sensor_template
 from synfog_usd.dataset.sets.load import load_set
-from synfog_usd.lab.benchmark import detectors
 from synfog_usd.world import compose
 
 ON, OFF = ("true", "True", "on", "On", "yes", "YES"), ("false", "FALSE", "off", "Off", "no", "No")
@@ -38,7 +37,7 @@ def test_numbers_may_have_an_exponent_alone(text, number):
 
 @pytest.mark.parametrize("word", [*ON, *OFF])
 def test_a_switch_takes_each_word_for_true_and_false(word, tmp_path):
-    """Of a graph's node and output, behind --set, of a set's quality and same_noise, and of a detector."""
+    """Of a graph's node and output, behind --set, of a set's quality and same_noise."""
     wanted = word in ON
     (tmp_path / "g.yaml").write_text(
         f"synfog: graph/1\nextends: phone\nnodes: [{{name: white_balance, clip: {word}}}]\n"
@@ -51,12 +50,6 @@ def test_a_switch_takes_each_word_for_true_and_false(word, tmp_path):
     (tmp_path / "s.yaml").write_text(f"synfog: set/1\nextends: mini\nquality: {{samples: 4}}\nsame_noise: {word}\n")
     read = load_set(tmp_path / "s.yaml")
     assert read.same_noise is wanted
-    (tmp_path / "a.onnx").touch()
-    (tmp_path / "d.yaml").write_text(
-        f"synfog: benchmark/1\ndetectors:\n- {{name: a, onnx: a.onnx, classes: [car], letterbox: {word}}}\n"
-    )
-    (detector,) = detectors.chosen([str(tmp_path / "d.yaml")])
-    assert detector.letterbox is wanted
 
 
 def test_a_switch_takes_no_other_word(tmp_path):

@@ -25,7 +25,7 @@ import numpy as np
 import typer
 from scipy import ndimage, stats
 
-from docs.studies import command
+from docs.studies import command, statistics
 from synfog_usd.base import resources, seeds
 from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import StageError
@@ -34,7 +34,6 @@ from synfog_usd.cli.progress import shown
 from synfog_usd.fog.airlight import estimated_airlight
 from synfog_usd.fog.medium import FogMedium
 from synfog_usd.fog.phase import Phase
-from synfog_usd.lab.benchmark import statistics
 from synfog_usd.render import models
 from synfog_usd.render.film import aovs
 from synfog_usd.render.film.accumulator import (

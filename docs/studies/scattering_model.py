@@ -7,6 +7,7 @@ noise that the sensor has in that pixel (below 1 no camera sees it), and of the 
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import math
@@ -20,7 +21,8 @@ import numpy.typing as npt
 import typer
 from scipy import ndimage
 
-from docs.studies import command
+from docs.studies import command, statistics
+from docs.studies.statistics import Mean
 from synfog_usd import camera
 from synfog_usd.base import files, photometry
 from synfog_usd.base.arrays import Array
@@ -31,8 +33,6 @@ from synfog_usd.base.seeds import stream
 from synfog_usd.camera.writers import read_exr
 from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.sets import index
-from synfog_usd.lab.benchmark import metrics, statistics
-from synfog_usd.lab.benchmark.statistics import Mean
 
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, math.inf)
 """Edges of the bins of optical depth, -ln t."""
@@ -290,11 +290,9 @@ def _compare(pair: FogPair) -> ShotErrors:
         renders = np.hypot(of_truth[..., 0], t * of_clear[..., 0]) / noise
         rendering = {(axis, place): median for axis, place, median in medians(renders)}
     flip = {}
-    if truth.shape[2] == 3 and "flip" in metrics.usable():
+    if truth.shape[2] == 3 and importlib.util.find_spec("flip_evaluator"):
         coded = {name: _coded(model, white) for name, model in {**by_model, "truth": truth}.items()}
-        flip = {
-            name: metrics.flip(coded[name], coded["fitted" if name == "two_percent" else "truth"]) for name in by_model
-        }
+        flip = {name: _flip(coded[name], coded["fitted" if name == "two_percent" else "truth"]) for name in by_model}
     return ShotErrors(pair.scene, pair.name, pair.lighting, pair.fog, over_noise, rendering, flip)
 
 
@@ -308,6 +306,14 @@ def _channels(folder: Path, names: list[str]) -> Array | None:
 
 def _coded(pixels: Array, white: float) -> npt.NDArray[np.uint8]:
     return np.rint(255.0 * srgb_encode(np.clip(pixels / white, 0.0, 1.0))).astype(np.uint8)
+
+
+def _flip(picture: npt.NDArray[np.uint8], truth: npt.NDArray[np.uint8]) -> float:
+    """Mean of LDR-FLIP at 67 pixels a degree (Andersson et al. 2020)."""
+    import flip_evaluator
+
+    reference, test = (image.astype(np.float32) / 255.0 for image in (truth, picture))
+    return float(flip_evaluator.evaluate(reference, test, "LDR")[1])
 
 
 def models(truth: Array, clear: Array, t: Array, *, white: float, noise: Array) -> dict[str, Array]:

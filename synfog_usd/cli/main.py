@@ -14,8 +14,8 @@ import typer
 
 from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
-from synfog_usd.base.errors import ParameterError, SynfogError
-from synfog_usd.cli import benchmark, dataset, options, worker
+from synfog_usd.base.errors import SynfogError
+from synfog_usd.cli import dataset, options, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
 app = typer.Typer(
@@ -30,7 +30,6 @@ app.add_typer(graph_app, name="graph")
 asset_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The library of models.")
 app.add_typer(asset_app, name="asset")
 app.add_typer(dataset.app, name="dataset")
-app.add_typer(benchmark.app, name="benchmark")
 
 
 @app.callback(invoke_without_command=True)
@@ -138,123 +137,6 @@ def check(
     else:
         print(verb.as_text(stage, findings, notes, light))
     raise typer.Exit(code)
-
-
-@dataclass(kw_only=True)
-class ChartWords:
-    """Options of `chart`."""
-
-    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Folder for chart.csv, .svg, .png and notes.txt.",
-            show_default=False,
-        ),
-    ] = None
-    suite: Annotated[
-        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with suite.png and summary.csv.")
-    ] = False
-    fog: Annotated[
-        str | None,
-        typer.Option(help="One fog: a variant of the stage, clear, mor150, rain10; as the stage has it if left out."),
-    ] = None
-    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None
-    camera: options.Camera = None
-    resolution: options.Resolution = "160x90"
-    samples: Annotated[
-        str | None,
-        typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out."),
-    ] = None
-    models: Annotated[
-        str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")
-    ] = None
-    depth: Annotated[
-        str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")
-    ] = "4"
-    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none"
-    quality: Annotated[
-        str, typer.Option(help="Words of bake's --quality to show beside the models, comma-separated, or none.")
-    ] = ",".join(numbers.QUALITIES)
-    reference: Annotated[
-        int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")
-    ] = None
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            help=(
-                "Seconds of rendering a stage, a model's first point not counted; 90 if left out, or none where "
-                "--samples is given."
-            )
-        ),
-    ] = None
-    target: Annotated[float, typer.Option(help="Total error; the fewest samples of auto that reach it are ringed.")] = (
-        0.03
-    )
-    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0
-    variant: options.Variant = "auto"
-    gpu: options.Gpu = None
-    allow: options.Allow = None
-    quiet: options.Quiet = False
-
-
-@app.command()
-@options.spread
-def chart(words: ChartWords) -> None:
-    """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE, or
-    on every stage of a folder.
-    """
-    from synfog_usd.base.resources import folder
-
-    if words.suite == (words.stage is not None):
-        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
-    if words.out is None:
-        raise ParameterError("chart: needs --out FOLDER")
-    stage = words.stage or folder("stages") / "bench"
-    plan = dict(
-        stage=stage,
-        out=words.out,
-        fog=words.fog,
-        lighting=words.lighting,
-        camera=words.camera,
-        size=numbers.size_of(words.resolution),
-        samples=numbers.counts_of(words.samples, "--samples") if words.samples is not None else None,
-        models=numbers.names_of(words.models, "--models"),
-        depth=() if words.depth == "none" else numbers.counts_of(words.depth, "--depth"),
-        bands=() if words.bands == "none" else numbers.counts_of(words.bands, "--bands"),
-        quality=() if words.quality == "none" else numbers.names_of(words.quality, "--quality"),
-        reference_samples=words.reference,
-        time_limit=words.time_limit,
-        target=words.target,
-        seed=words.seed,
-        variant=options.device(words.variant, words.gpu),
-        allow=tuple(words.allow or ()),
-    )
-    if not worker.is_worker():
-        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
-    worker.follow_parent()
-    from synfog_usd.cli import chart as verb
-
-    verb.run(plan, quiet=words.quiet)
-
-
-@app.command()
-def compare(
-    mine: Annotated[Path, typer.Argument(help="Picture: what a method made of a foggy one, or any other.")],
-    shot: Annotated[
-        Path,
-        typer.Argument(help="Folder of the shot in a set or bake, as out/sky/mor150; or a picture to compare with."),
-    ],
-    picture: Annotated[str, typer.Option(help="Which output of the set or bake is compared.")] = "srgb.png",
-    clear: Annotated[str, typer.Option(help="The fog that counts as none.")] = "clear",
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON on standard output.")] = False,
-) -> None:
-    """Measure how far picture MINE is from the view of SHOT in clear air, as `benchmark defog` measures it."""
-    from synfog_usd.cli import benches
-
-    benches.compare(mine, shot, picture=picture, clear=clear, as_json=as_json)
 
 
 @dataclass(kw_only=True)
@@ -373,7 +255,6 @@ def info(
         "numpy",
         "scipy",
         "tifffile",
-        "matplotlib",
     )
     versions = dict.fromkeys(names, "not installed")
     for name in names:
@@ -604,69 +485,12 @@ def _crash_line(code: int, stage: Path) -> int:
     return code
 
 
-STAGE_WORDS = {
-    "--meters-per-unit": "write metersPerUnit into the stage or a layer over it, or call sf.bake(..., "
-    "meters_per_unit=0.01)",
-    "--up": "write upAxis into the stage or a layer over it, or call sf.bake(..., up='Z')",
-}
-
-SUN_LUX = "--light-scale multiplies all lights; synfog-usd check STAGE tells the factor that makes it noon"
-
-GONE = {
-    "bake": {
-        **STAGE_WORDS,
-        "--frame": "--frames 12 bakes one time code",
-        "--sun-lux": SUN_LUX,
-        "--target-error": "--quality says when sampling stops; or call sf.bake(..., target_error=0.01)",
-        "--bands": "a set's file takes 'quality: {bands: 16}', and Python sf.bake(..., bands=16)",
-        "--variant": "the best one is taken, see synfog-usd info; or call sf.bake(..., variant='llvm')",
-        "--gpu": "set CUDA_VISIBLE_DEVICES=1 before it, or call sf.bake(..., variant='cuda:1')",
-        "--json": "OUT/bake.json has it; rig.json of several cameras, sequence.json of frames",
-        "--quiet": "its lines go to standard error and its exit code tells; 2> bake.log keeps them",
-        "--meter": "a set's file takes 'meter: each', and Python sf.bake(..., meter='each')",
-        "--adaptation": "call sf.bake(..., frames='0:90', adaptation=0.3)",
-        "--shutter": "write shutter:open and shutter:close of the camera, or call sf.bake(..., shutter=0.01)",
-        "--lights": "call sf.bake(..., lights='metric')",
-        "--max-distance": "switch far models off (active = false) in a layer over the stage",
-        "--mask": "switch all else off (active = false) in a layer over the stage",
-        "--model": "call sf.bake(..., model='volpath'); synfog-usd chart compares models",
-        "--same-noise": "a set's file takes 'same_noise: true', and Python sf.bake(..., same_noise=True)",
-        "--strict": "synfog-usd check STAGE --strict tells before a bake; or call sf.bake(..., strict=True)",
-    },
-    "preview": {
-        **STAGE_WORDS,
-        "--frame": "--frames 12 draws one time code",
-        "--terminal": "open OUT/contact.png",
-        "--sun-lux": SUN_LUX,
-    },
-    "check": STAGE_WORDS,
-    "graph": {"--svg": "--mermaid prints a drawing's text, which Markdown and mermaid.live show"},
-    "contact": {"--model": "synfog-usd chart compares models"},
-    "dataset": {"--cluster": "let each job of the batch system run dask worker, and name their --scheduler"},
-}
-"""Verb -> options that it had -> what to do instead."""
-
-
-def _refuse_gone(arguments: list[str]) -> None:
-    """Refuse an option that was removed.
-
-    Raises:
-        ParameterError: with what to do instead.
-    """
-    verb = arguments[0] if arguments else ""
-    for word in arguments:
-        option = word.partition("=")[0]
-        if instead := GONE.get(verb, {}).get(option):
-            raise ParameterError(f"{verb} takes no {option}: {instead}")
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run one command line; the way out is always an exit code."""
     isolated.forget_foreign()
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         with worker.printed():
-            _refuse_gone(arguments)
             app(args=arguments)
     except SynfogError as error:
         print(f"synfog-usd: {error}", file=sys.stderr)

@@ -15,8 +15,6 @@ import pytest
 from support.cli import command, process, run
 from support.stages import street
 
-from synfog_usd.cli.main import GONE
-from synfog_usd.dataset.asked import OPTIONS
 from synfog_usd.dataset.bake import StrictError
 from synfog_usd.dataset.job import bake
 
@@ -341,15 +339,6 @@ def test_two_bakes_do_not_write_into_one_folder(unbroken, stage):
         refused(run(*arguments(stage, out)), str(out), "another bake")
     finally:
         os.close(handle)
-
-
-@pytest.mark.parametrize("verb, option", [(verb, option) for verb, gone in GONE.items() for option in gone])
-def test_an_option_that_is_gone_is_refused_with_what_to_do_instead(tmp_path, verb, option):
-    """In one line; what it names exists: an option of `sf.bake`, a verb, or a word of USD or of a set's file."""
-    done = run(verb, "none.usda", f"{option}=1", cwd=tmp_path)
-    refused(done, f"{verb} takes no {option}: {GONE[verb][option]}")
-    for name in re.findall(r"sf\.bake\(\.\.\., (?:frames='0:90', )?(\w+)=", GONE[verb][option]):
-        assert name in {*OPTIONS, "adaptation"}
 
 
 @pytest.mark.parametrize(

@@ -89,12 +89,9 @@ def test_a_stage_is_checked_as_it_would_be_baked(stage):
     assert "units" in {one.rule for one in verb.look(path)[0]}
     assert "units" not in {one.rule for one in verb.look(path, metres_per_unit=0.1)[0]}
     assert verb.look(path, choices=["/World:fog=clear"])  # a choice that there is
-    for words, told in (
-        (["--choose", "/World:fog=none"], "variant set 'fog' of /World has"),
-        (["--up", "Z"], "check takes no --up: write upAxis into the stage"),
-    ):
-        done = process("check", path, *words)
-        assert done.returncode == 2 and told in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    done = process("check", path, "--choose", "/World:fog=none")
+    assert done.returncode == 2 and "variant set 'fog' of /World has" in done.stderr
+    assert len(done.stderr.splitlines()) == 1, done.stderr
 
 
 def test_the_extension_is_packed_whole_and_alike(tmp_path):

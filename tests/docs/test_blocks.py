@@ -33,7 +33,6 @@ from synfog_usd.camera.profiles import load_lens, load_sensor
 from synfog_usd.cli.main import app
 from synfog_usd.dataset.sets import index, layout
 from synfog_usd.dataset.sets.load import load_set
-from synfog_usd.lab.benchmark import detectors, methods
 from synfog_usd.world import compose
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -240,8 +239,6 @@ def test_yaml_loads(block, folders, monkeypatch):
         assert load_set(path).scenes > 0
     elif kind == "recipe/1":
         compose.draw(compose.load(path), seed=1)
-    elif kind == "benchmark/1":
-        assert methods.chosen([str(path)]) if "methods" in fields else detectors.chosen([str(path)])
     elif kind in ("sensor/1", "lens/1"):
         (load_sensor if kind == "sensor/1" else load_lens)(str(path))
     else:

@@ -8,9 +8,9 @@ import pytest
 from support import cli
 from support.stages import street
 
+from docs.studies.accuracy import combine, compare, mottle
+from docs.studies.points import Point, price, read, table
 from synfog_usd.base.seeds import stream
-from synfog_usd.lab.study.accuracy import combine, compare, mottle
-from synfog_usd.lab.study.points import Point, price, read, table
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]
@@ -197,7 +197,7 @@ def test_table_can_be_read_back():
 
 
 def run(*arguments):
-    return cli.run("chart", *arguments)
+    return cli.study("chart", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +244,6 @@ def test_a_small_chart_writes_its_files(stage, tmp_path):
         (["--models", "pth"], ["pth", "Did you mean 'path'"]),
         (["--fog", "mor15O"], ["mor15O", "mor150"]),
         (["--target", "3"], ["--target 3", "0.03"]),
-        (["--suite"], ["STAGE", "--suite"]),
     ],
 )
 def test_options_out_of_range_are_refused(stage, tmp_path, arguments, words):
