@@ -58,4 +58,4 @@ def stats(out: Path, *, quiet: bool, as_json: bool) -> None:
 
     with shown(quiet) as (progress, _):
         counted = figures.gather(out, progress=progress)
-    print(json.dumps(counted.metadata(), indent=2) if as_json else figures.text(counted, out.resolve().name))
+    print(json.dumps(counted.metadata(), indent=2) if as_json else figures.text(counted))

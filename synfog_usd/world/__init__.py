@@ -2,7 +2,7 @@
 
 `compose` is the door.  `language` says how recipes are read and drawn, `parameters` what each world's
 recipes can say, and `reference` makes a page and a schema of it.  `roads` draws roads and junctions and
-sets everything in its place; `departments` parts the stage into layers.  `library` lists the models in
+sets everything in its place.  `library` lists the models in
 assets/models, `skies` and `lamps` what gives light; `importer` adds models.  `shapes` makes triangles,
 `materials` has their looks, `components` writes them as USD.  `assets/builders`, beside the package, makes the
 shipped assets.

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf
+from pxr import Sdf, Tf
 
 from synfog_usd.base import resources, values
-from synfog_usd.base.errors import RecipeError
+from synfog_usd.base.errors import OutputError, RecipeError
+from synfog_usd.base.files import write_whole
 from synfog_usd.world import parameters
-from synfog_usd.world.departments import write_layers
 from synfog_usd.world.language import Draws, Recipe, load_root
 from synfog_usd.world.roads import crossing_recipe, roundabout_recipe, stage
 from synfog_usd.world.roads import recipe as road_recipe
@@ -71,7 +71,7 @@ def compose(
     opendrive: str | os.PathLike[str] | None = None,
     environment: str | os.PathLike[str] | None = None,
 ) -> WorldSpec:
-    """Draw a world and write it as a stage: the file, and a layer for each department beside it.
+    """Draw a world and write it as a stage: one file.
 
     With `seconds` it is a clip: vehicles follow their lanes, people walk, and the camera goes with its car, by time
     samples at the frames 0 to `seconds` times `fps`.  Frame 0 is what the stage is without them.
@@ -127,12 +127,30 @@ def compose(
             write.author(layer, spec, clip)
         return layer
 
-    write_layers(out, author)
+    write_stage(out, author)
     if clip and out_fcd:
         write_fcd(out_fcd, spec, clip)
     if out_roads:
         write_roads(out_roads, spec.road, chosen.name)
     return spec
+
+
+def write_stage(path: Path, author: Callable[[Path], Sdf.Layer]) -> None:
+    """Write a stage, whole.
+
+    Args:
+        author: makes the stage as one layer, not yet saved, at a path in the same folder.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    try:
+        write_whole(path, lambda temporary: author(temporary).Save())
+    except Tf.ErrorException as error:
+        raise OutputError(
+            f"{path}: cannot be written ({str(error).split(' : ')[-1].strip()}); choose another output folder or free "
+            f"some space"
+        ) from error
 
 
 def _output(path: str | os.PathLike[str], option: str, kind: str, *suffixes: str) -> Path:

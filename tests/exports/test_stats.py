@@ -54,10 +54,10 @@ def test_bytes_are_counted_once(baked):
 
 
 def test_the_verb_prints_tables_or_json(baked):
-    """Every table has a row for each of its heads, and the first one what others published."""
+    """Every row of a table has a cell for each of its heads."""
     done = run("dataset", "stats", baked.folder)
     assert done.returncode == 0, done.stderr
     tables = [[line.split(" | ") for line in table.splitlines()] for table in done.stdout.strip().split("\n\n")]
-    assert len(tables) == 8 and all(len({len(row) for row in table}) == 1 for table in tables)
-    assert tables[0][3][4] == "11.8" and " nan " not in done.stdout
+    assert len(tables) == 7 and all(len({len(row) for row in table}) == 1 for table in tables)
+    assert " nan " not in done.stdout
     assert json.loads(run("dataset", "stats", baked.folder, "--json").stdout)["pictures"] == 3

@@ -1,4 +1,4 @@
-"""Figures of a set: what is in it, how far, how hidden, how bright, how large; beside published ones."""
+"""Figures of a set: what is in it, how far, how hidden, how bright, how large; pixels beside those of Cityscapes."""
 
 from __future__ import annotations
 
@@ -23,30 +23,6 @@ DISTANCES_M = (10, 20, 40, 80, 160, 320)
 SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 NAMES = {kind.id: kind.name for kind in cityscapes.LABELS.values()}
 STATES = ("visible", "faint", "invisible", "not told")
-
-CORDTS = "Cordts et al. (2016), The Cityscapes Dataset, CVPR, table 2 (training and validation)"
-PUBLISHED: tuple[tuple[str, dict[str, str], str], ...] = (
-    (
-        "Cityscapes (fine)",
-        {"pictures": "5000", "fogs": "none", "humans a picture": "7.0", "vehicles a picture": "11.8"},
-        f"{CORDTS}; 2975, 500 and 1525 pictures for training, validation and testing",
-    ),
-    (
-        "KITTI (objects)",
-        {"pictures": "7481 + 7518", "fogs": "none", "humans a picture": "0.8", "vehicles a picture": "4.1"},
-        f"{CORDTS}; pictures: readme of the object benchmark's devkit",
-    ),
-    (
-        "SynFog",
-        {
-            "pictures": "500 scenes x 2 lightings x 4",
-            "fogs": "clear, MOR 600, 300 and 150 m",
-            "humans a picture": "not published",
-            "vehicles a picture": "not published",
-        },
-        "Xie et al. (2024), SynFog, CVPR",
-    ),
-)
 
 CITYSCAPES_PIXELS = {
     "road": 32.7, "sidewalk": 5.3, "building": 20.1, "wall": 0.59, "fence": 0.77, "pole": 1.12, "traffic light": 0.18,
@@ -181,7 +157,7 @@ def _light(picture: LabelledPicture) -> tuple[float, float, float, float]:
     return mean, float(middle), float(low), float(high)
 
 
-def text(figures: Figures, title: str) -> str:
+def text(figures: Figures) -> str:
     """The figures as tables of Markdown."""
     groups = {
         "class": figures.objects,
@@ -191,7 +167,6 @@ def text(figures: Figures, title: str) -> str:
     }
     total = 100.0 / sum(CITYSCAPES_PIXELS.values())
     tables = [
-        _beside_published(figures, title),
         _table(
             ["class", "pixels here, %", "Cityscapes, %"],
             [[name, f"{figures.share(name):.2f}", f"{share * total:.2f}"] for name, share in CITYSCAPES_PIXELS.items()],
@@ -215,21 +190,6 @@ def text(figures: Figures, title: str) -> str:
         ),
     ]
     return "\n\n".join(tables)
-
-
-def _beside_published(figures: Figures, title: str) -> str:
-    count, states = figures.a_picture, ("visible", "faint", "not told")
-    fogs = (name if mor is None else f"{name} ({mor:g} m)" for name, mor in sorted(figures.fog_m.items()))
-    row = [
-        title,
-        str(figures.pictures),
-        ", ".join(fogs),
-        f"{count(HUMANS):.1f} ({count(HUMANS, states):.1f} without invisible ones)",
-        f"{count(VEHICLES):.1f} ({count(VEHICLES, states):.1f} without invisible ones)",
-        "counted here: every thing with a pixel; annotators leave out what is small or far",
-    ]
-    heads = ["set", "pictures", "fogs", "humans a picture", "vehicles a picture", "source"]
-    return _table(heads, [row, *([name, *numbers.values(), source] for name, numbers, source in PUBLISHED)])
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -184,8 +184,7 @@ def _drawn(
     if planned.stage is not None:
         yield planned.stage, {"models": [], "skies": []}
         return
-    from synfog_usd.world.compose import draw
-    from synfog_usd.world.departments import write_layers
+    from synfog_usd.world.compose import draw, write_stage
     from synfog_usd.world.roads import stage
 
     folder = out / layout.RUN / "work" / unit.folder.partition("/")[2]
@@ -205,7 +204,7 @@ def _drawn(
             }
             _check_held_out(definition, planned, shown)
             path = folder / "scene.usda"
-            write_layers(path, lambda place: stage.author(place, spec, assets="./assets"))
+            write_stage(path, lambda place: stage.author(place, spec, assets="./assets"))
         yield path, shown
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -2,8 +2,7 @@
 lights, fog, variants.
 
 A scope for each kind of thing: /World/Road, Buildings, Plants and Furniture, Vehicles and
-People, Lights and Sky, Fog, Ego and Rig; `departments.py` makes layers of them.  It opens in
-plain OpenUSD.
+People, Lights and Sky, Fog, Ego and Rig.  It opens in plain OpenUSD.
 """
 
 from __future__ import annotations
