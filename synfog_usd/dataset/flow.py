@@ -160,9 +160,8 @@ def tracks(listed: Sequence[Mapping[int, Mapping[str, Any]]], per_s: float) -> l
         per_s: frames a second.
 
     Returns:
-        for each its number, path and label, and of each frame its id there, `pixels`, and, where the labels tell them,
-        `box_px`, `velocity_m_s`, place [m], `yaw_deg` of where it looks, counter-clockwise from +Y, and
-        `yaw_rate_deg_s`.
+        for each its number, path and label, and of each frame its id there and `pixels`.  Where the labels have them
+        there are `box_px`, `velocity_m_s`, the place [m], `yaw_deg` counter-clockwise from +Y, and `yaw_rate_deg_s`.
     """
     rows = [{row["path"]: row for row in frame.values()} for frame in listed]
     tracked: list[dict[str, Any]] = []

@@ -22,7 +22,7 @@ def encode(pixels: Indices, height: int, width: int) -> str:
         pixels: (N,) numbers of its pixels, row by row from the top left, each once.
         height, width: of the picture [px].
 
-    >>> encode(np.array([0, 1, 3]), 2, 2)  # 1 1 above 0 1: runs of 0, 1, 1, 2 down the columns; told 2 - 1
+    >>> encode(np.array([0, 1, 3]), 2, 2)  # 1 1 above 0 1: the runs down the columns begin with one of no length
     '0111'
     """
     y, x = np.divmod(np.asarray(pixels, dtype=np.int64), width)

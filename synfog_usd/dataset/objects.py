@@ -1,7 +1,7 @@
 """What is known of each instance besides its visible pixels: its whole outline, its box in space, its pose.
 
 Takes a scene and what the rays through its pixels' centres pierce; gives rows for `labels.json`.  The camera's axes are
-OpenCV's here: x right, y down, z forward.  Pictures have their corner at (0, 0), so the centre of the first pixel is at
+OpenCV's here: x right, y down, z forward.  The centre of a picture's first pixel is at
 (0.5, 0.5); a camera matrix has it at (0, 0), as OpenCV does.
 """
 

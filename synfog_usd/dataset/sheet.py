@@ -123,7 +123,7 @@ def recipes_of(path: Path) -> tuple[Path, ...]:
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
-    """Seeds from '0-15' or '3,7,9-11'."""
+    """Seeds from text: single ones and ranges, comma-separated, as '3,9-11'."""
     seeds: list[int] = []
     for piece in text.split(","):
         low, dash, high = piece.strip().partition("-")

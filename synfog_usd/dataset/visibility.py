@@ -22,7 +22,7 @@ import numpy as np
 from synfog_usd.base.arrays import Array, Flags, Indices, Pixels
 
 WMO_CONTRAST = 0.05
-"""Contrast that an observer needs to tell a thing.  Source: WMO-No. 8 (2018), volume I, chapter 9, 9.1.1."""
+"""Contrast that an observer needs to tell a thing.  Source: WMO-No. 8, volume I, section 9.1.1."""
 
 ROSE = 5.0
 """Signal over noise, over the whole thing, from which on it is recognised reliably.  Source: Rose (1948), The

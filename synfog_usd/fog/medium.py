@@ -95,7 +95,7 @@ class FogMedium:
 
     Attributes:
         sigma_t_per_m: extinction [1/m] at 550 nm, >= 0: at `base_height_m`, or where a grid's density is 1.
-        albedo: single-scattering albedo [1] at 550 nm, 0 to 1; fog absorbs next to nothing.
+        albedo: single-scattering albedo at 550 nm, 0 to 1; fog absorbs next to nothing.
         g: mean cosine of the phase function, -1 < g < 1.  Where `phase` is given
             it is taken from there, whatever is passed.
         profile: 'uniform', 'exponential' in height above `base_height_m`, or 'grid'.

@@ -30,13 +30,13 @@ MOST_DEVIATION = 2.0
 def patchy(outer_scale_m: float, deviation: float, *, seed: int = 0) -> DensityGrid:
     """Densities of turbulent fog, whose mean is exactly 1.
 
-    The spectrum of the density is von Karman's, (k^2 + k0^2)^(-11/6) with k0 = 2 pi / outer scale: Kolmogorov's
-    k^(-11/3) below the outer scale, level above, cut off at waves of a quarter of it.  The densities are lognormal, so
+    The spectrum of the density is von Karman's: Kolmogorov's k^(-11/3) below the outer scale, level above it.  It
+    is cut off at waves of a quarter of the outer scale.  The densities are lognormal, so
     that none is negative.
 
     Args:
         outer_scale_m: L0 [m], 0.5 to 1000: the largest patches are about half as wide.
-        deviation: standard deviation of the density over its mean [1], 0 to 2, exact to 0.1 %.
+        deviation: standard deviation of the density over its mean, 0 to 2, exact to 0.1 %.
         seed: 0 or more; another one gives another field.
 
     Raises:

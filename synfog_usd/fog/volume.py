@@ -178,7 +178,7 @@ class FogVolume:
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def grid_frame(self) -> Array:
-        """Matrix (4, 4) from the box [-1, 1]^3 of its density grid to world metres."""
+        """Matrix (4, 4) from the box of its density grid, whose half sides are 1, to world metres."""
         grid = self.medium.grid
         if grid is None or grid.period_m is None:
             return self.boundary.frame()
@@ -206,7 +206,7 @@ class FogVolume:
         return total
 
     def covered(self) -> tuple[npt.NDArray[np.float32], Array]:
-        """Densities (Z, Y, X) and the matrix (4, 4) from the box [-1, 1]^3, of a grid that need not repeat.
+        """Densities (Z, Y, X) of a grid that need not repeat, and the matrix (4, 4) from its box to the world.
 
         Raises:
             ParameterError: more voxels than a grid has.

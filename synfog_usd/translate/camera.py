@@ -71,11 +71,7 @@ def read_camera(
     _tell_what_is_left_out(settings, notes)
     _tell_of_products(settings, prim, notes, named=path is not None)
     parallel = _is_parallel(camera, lens, notes)
-    width_mm, height_mm = lens.horizontalAperture, lens.verticalAperture
-    focal = 1.0 if parallel else lens.focalLength  # without meaning where the aperture itself is seen
-    if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
-        where = prim.GetPath()
-        raise StageError(f"{where}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0")
+    width_mm, height_mm, focal = _size_of_lens(prim, lens, parallel=parallel)
     width_px, height_px = _resolution(settings, resolution, width_mm / height_mm, prim)
     policy = settings.GetAspectRatioConformPolicyAttr().Get() if settings else "expandAperture"
     aperture = _conformed(width_mm, height_mm, width_px / height_px, str(policy), prim, notes)
@@ -103,6 +99,20 @@ def read_camera(
         global_reset=_global_reset(prim, time, notes),
         velocity_m_s=_velocity(prim, space, time, notes),
     )
+
+
+def _size_of_lens(prim: Usd.Prim, lens: Gf.Camera, *, parallel: bool) -> tuple[float, float, float]:
+    """Width and height of the aperture, and the focal length: 1 of a parallel view, where it has no meaning.
+
+    Raises:
+        StageError: one of them is not above 0.
+    """
+    width_mm, height_mm = lens.horizontalAperture, lens.verticalAperture
+    focal = 1.0 if parallel else lens.focalLength
+    if not (width_mm > 0.0 and height_mm > 0.0 and focal > 0.0 and math.isfinite(width_mm * height_mm * focal)):
+        where = prim.GetPath()
+        raise StageError(f"{where}: aperture {width_mm} x {height_mm} and focal length {focal} must be above 0")
+    return width_mm, height_mm, focal
 
 
 def _is_parallel(camera: UsdGeom.Camera, lens: Gf.Camera, notes: Diagnostics) -> bool:

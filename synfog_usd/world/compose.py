@@ -75,9 +75,7 @@ def compose(
 
     With `seconds` it is a clip: vehicles follow their lanes, people walk, and the camera goes with its car, by time
     samples at the frames 0 to `seconds` times `fps`.  Frame 0 is what the stage is without them.
-
-    References to the shipped assets are relative where the file lies in the folder that
-    holds them, so that the folder can move, and absolute elsewhere.
+    References to the shipped assets are relative within the folder that holds them, and absolute elsewhere.
 
     Args:
         recipe: a name of `recipes`, or a YAML file.
@@ -86,8 +84,7 @@ def compose(
         change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
         seconds: of the clip [s], 0 to 120; None for what the recipe's `time` says, and 0 for a still.
         fps: frames a second, 1 to 240; None for what the recipe's `time` says.
-        traffic: FCD of SUMO (.xml) with what drives and walks, in place of what the recipe draws in motion; its times
-            are those of the clip where nothing says another length.
+        traffic: FCD of SUMO (.xml) that drives and walks in place of what the recipe draws; it may say `seconds`.
         fcd: file for the same of this clip.
         environment: OpenSCENARIO (.xosc) whose fog, sun and time of day are taken in place of the recipe's.
         opendrive: file for the roads as OpenDRIVE 1.8 (.xodr), in the axes of the stage.
@@ -103,20 +100,27 @@ def compose(
     out_fcd = None if fcd is None else _output(fcd, "--fcd", "an XML file", ".xml")
     out_roads = None if opendrive is None else _output(opendrive, "--opendrive", "OpenDRIVE", ".xodr")
     recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
-    if recorded and seconds is None:
-        seconds = seconds_of(recorded)
+    seconds = seconds_of(recorded) if recorded and seconds is None else seconds
     chosen = load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps))
     weather = None if environment is None else scenario.read(values.path_of(environment, "--environment"))
     if weather:
         chosen = scenario.at_its_hour(chosen, weather)
-    spec = draw(chosen, seed=seed)
-    spec, clip = clip_of(chosen, spec, seed=seed)
+    spec, clip = clip_of(chosen, draw(chosen, seed=seed), seed=seed)
     if clip is None and (recorded or out_fcd):
         raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
     if weather:
         spec = scenario.around(spec, weather)
+    _write(out, spec, clip, weather)
+    if clip and out_fcd:
+        write_fcd(out_fcd, spec, clip)
+    if out_roads:
+        write_roads(out_roads, spec.road, chosen.name)
+    return spec
+
+
+def _write(out: Path, spec: WorldSpec, clip: motion.Clip | None, weather: scenario.Environment | None) -> None:
     assets = asset_folder(out.resolve().parent, resources.folder("assets").resolve())
 
     def author(place: Path) -> Sdf.Layer:
@@ -128,11 +132,6 @@ def compose(
         return layer
 
     write_stage(out, author)
-    if clip and out_fcd:
-        write_fcd(out_fcd, spec, clip)
-    if out_roads:
-        write_roads(out_roads, spec.road, chosen.name)
-    return spec
 
 
 def write_stage(path: Path, author: Callable[[Path], Sdf.Layer]) -> None:

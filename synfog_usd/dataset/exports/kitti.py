@@ -2,7 +2,7 @@
 
 Types are those of the devkit; what a class has no type for is `Misc`.  Boxes are of the whole thing within the picture,
 as the benchmark's annotators drew them.  What is dropped because fog hides it is `DontCare`, which neither counts nor
-is missed.  `occluded` is 0 where 80 % and more of a thing's pixels are seen, 1 from 40 % on, 2 below.  P0 and P2 are
+is missed.  `occluded` follows from the visible share of a thing's pixels, with steps at 80 % and 40 %.  P0 and P2 are
 the left camera, P1 and P3 its right eye, or the same where there is none; a lidar is taken to stand in the left one.
 """
 

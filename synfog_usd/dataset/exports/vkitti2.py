@@ -85,8 +85,8 @@ def coded_flow(flow: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint16 of a flow (H, W, 2) [px] to the right and down: both as shares of the picture, and whether it is
     known.
 
-    Virtual KITTI 2 puts -(W - 1) to W - 1 columns on 0 to 65535 of the first colour, rows likewise on the second; the
-    third is 0 where there is none.
+    Virtual KITTI 2 spreads the greatest shift to either side over all codes of the first colour, columns there and
+    rows on the second.  The third is 0 where there is none.
     """
     height, width = flow.shape[:2]
     share = flow / (np.array([width, height]) - 1.0)

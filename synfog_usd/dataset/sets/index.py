@@ -4,16 +4,13 @@ A picture is one shot (a scene, lighting, camera and fog) as one pipeline shows 
 radiance and labels.  Whoever reads a set starts here, and needs nothing else of this room:
 
     from synfog_usd.dataset.sets import index
-    for picture in index.pictures(out):               # one at a time; memory does not grow with the set
+    for picture in index.pictures(out):
         picture.scene, picture.split                  # 17, 'train'
         picture.source, picture.seed                  # 'residential' (recipe, or name of a stage), seed of the scene
         picture.lighting, picture.camera              # 'sky', '' (the stage's own camera) or a prim path
         picture.fog, picture.mor_m                    # 'mor600', 600.0; 'clear', None
         picture.pipeline                              # 'synfog'
-        picture.files["srgb.png"]                     # absolute paths; radiance.exr, layers.exr, instances.json and
-                                                      # what the pipeline's outputs are called
-        picture.files["labels.exr"]                   # and labels.json: of the scene, lighting and camera, in clear air
-        picture.bake                                  # folder of its bake.json
+        picture.files["srgb.png"]                     # absolute paths, also of radiance.exr, layers.exr and labels.exr
     index.of_scene(out, 17)                           # the pictures of one scene
     index.count(out)                                  # from the heads of the files alone
 

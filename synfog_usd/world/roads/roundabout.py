@@ -163,7 +163,7 @@ class Roundabout(Road):
         return x, y, z, round((turned + 180.0) % 360.0 - 180.0, 3)
 
     def lane_edges(self, arm: int, way: int) -> tuple[Array, Array]:
-        """(N, 3) left and (M, 3) right edge [m] of an arm's lane as it is driven, outwards (1) or inwards (-1).
+        """Left and right edge [m], (N, 3) each, of an arm's lane as it is driven; `way` is 1 outwards, else -1.
 
         On the circle the right one begins where the arc of the kerb does.
         """

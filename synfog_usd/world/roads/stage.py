@@ -191,7 +191,7 @@ def headlights(view: View, ground: float) -> Iterable[tuple[str, Array]]:
 
 @functools.cache
 def panes(asset: str) -> Mapping[str, tuple[Array, Array]]:
-    """Panes of a building by material: (K, 4, 3) corners [m] and (K, 4, 2) texture coordinates."""
+    """Panes of a building by material: corners [m] (K, 4, 3) with texture coordinates."""
     by_name: dict[str, tuple[Array, Array]] = {}
     layer = Sdf.Layer.FindOrOpen(str(model(asset).path.with_suffix(".geo.usdc")))
     if layer is None:

@@ -2,7 +2,7 @@
 
 Takes where everybody is on a road of several lanes, and laws of following; gives who begins to change, and whereto.
 Knows nothing of models or stages.
-Source: Kesting, Treiber, Helbing (2007), Transportation Research Record 1999, 86, doi 10.3141/1999-10.
+Source: Kesting, Treiber, Helbing (2007), "General Lane-Changing Model MOBIL for Car-Following Models".
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ CRANK_M, AHEAD_M = 0.155, -0.005
 REACH_M, OUT_M = 0.19, 0.05
 """Cranks and pedals are within the first of their centre, along the bicycle, and beyond the second from its middle."""
 DEVELOPMENT_M = 4.6
-"""Way for a turn of the cranks: 46 and 21 teeth on a wheel of 2.1 m, 65 turns a minute at 5 m/s."""
+"""Way [m] for a turn of the cranks: 46 teeth drive 21, on a wheel whose circumference is 2.1 m."""
 
 
 @dataclass(frozen=True)
