@@ -1,13 +1,9 @@
-"""What instances cost: seconds of the processor and memory, by their number and the size of their mesh.
-
-`pytest -m bench tests/bench/test_instances.py -s` prints the table and writes out/instances.csv and out/instances.png.
-"""
+"""What instances cost: seconds of the processor and memory."""
 
 import json
 import resource
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,31 +65,6 @@ def loaded_in_a_child(path, resolution):
     return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
 
 
-def draw(rows, path):
-    """Seconds and memory over the number of instances, a line for each mesh; a cross is what was refused."""
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    found = [row.split(",") for row in rows]
-    for triangles, colour in (("12", "#0b5fa5"), ("10000", "#12805c"), ("1000000", "#c1440e")):
-        mine = [row for row in found if row[1] == triangles]
-        for axis, column, scale in ((axes[0], 4, 1.0), (axes[1], 5, 1e-3)):
-            many, cost = (np.array([float(row[k]) for row in mine]) for k in (0, column))
-            drawn = np.array([row[2] == "drawn" for row in mine])
-            axis.loglog(many[drawn], scale * cost[drawn], "o-", color=colour, label=f"{int(triangles):,} triangles")
-            axis.loglog(many[~drawn], scale * cost[~drawn], "x", color=colour)
-    for axis, what in zip(axes, ("processor seconds until it stands in the renderer", "most memory [GB]"), strict=True):
-        axis.set_xlabel("instances (x: refused by its number)")
-        axis.set_title(what, fontsize=10)
-        axis.grid(alpha=0.3)
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("")
-    axes[0].legend(title="a mesh of", frameon=False)
-    axes[1].axhline(5.0, color="#666b70", linestyle=":")
-    figure.savefig(path, dpi=90)
-    pyplot.close(figure)
-
-
 def test_200_million_triangles_stand_in_the_renderer_within_4_GB(tmp_path):
     """10 000 instances of 20 000 triangles, in a picture of 1280x720."""
     crowd(tmp_path / "a.usdc", 10_000, 20_000)
@@ -112,27 +83,3 @@ def test_10_000_instances_of_35_000_triangles_are_baked_within_a_minute(tmp_path
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     print(f"10 000 x 35 000 triangles baked: {seconds:.1f} s")
     assert seconds < 60.0
-
-
-def test_cost_goes_with_prototypes_and_instances(tmp_path):
-    """No step: a hundred times the triangles never take a hundred times as long, and four million points are refused by
-    their number within 3 GB.
-    """
-    rows = ["instances,triangles of one,said,translated s,loaded s,peak MB"]
-    took = {}
-    for triangles in (12, 10_000, 1_000_000):
-        for instances in (10, 1_000, 10_000, 100_000, 4_000_000):
-            crowd(tmp_path / "a.usdc", instances, triangles)
-            said, translated, loaded, memory = loaded_in_a_child(tmp_path / "a.usdc", (320, 180))
-            (tmp_path / "a.usdc").unlink()
-            word = said if said == "drawn" else "refused"
-            rows.append(f"{instances},{triangles},{word},{translated:.1f},{loaded:.1f},{memory:.0f}")
-            print(rows[-1], flush=True)
-            took[instances, triangles] = loaded
-            if instances == 4_000_000:
-                assert word == "refused" and memory < 3000.0
-    Path("out").mkdir(exist_ok=True)
-    Path("out/instances.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    draw(rows[1:], Path("out/instances.png"))
-    for instances in (1_000, 10_000):
-        assert took[instances, 1_000_000] < 100.0 * max(took[instances, 10_000], 1.0)

@@ -1,7 +1,6 @@
 """Speed against accuracy: errors on noise and bias that are known, and small charts from a stage to their files."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from support import cli
 from support.stages import street
 
 from docs.studies.accuracy import combine, compare, mottle
-from docs.studies.points import Point, price, read, table
 from synfog_usd.base.seeds import stream
 
 SHAPE = (90, 160)
@@ -114,62 +112,6 @@ def test_unequal_parts_weigh_by_their_samples():
     assert known.variance.mean() == pytest.approx(1 / 8, rel=5 * np.sqrt(2 / (2 * 4000)))
 
 
-def point(model, samples, seconds, error, *, bias=0.0, reference_rms=0.01, **more):
-    """One row; noise is `error`."""
-    total = float(np.hypot(error, bias))
-    row = dict(line=model, model=model, scatterings=None, bands=0, quality="", unbiased=bias == 0, samples=samples)
-    row |= dict(
-        seconds=seconds,
-        first_call_s=2 * seconds,
-        relative_mse=total**2,
-        relative_rms=total,
-        noise_rms=error,
-        bias_rms=bias,
-    )
-    row |= dict(
-        bias_limit=bias or 0.002,
-        bias_is_seen=bias > 0,
-        p95=2 * total,
-        mottle=error / 10,
-        flip=0.1 * total,
-        bias=-bias,
-        bias_error=0.01,
-        mean_nits=500.0,
-    )
-    row |= dict(
-        on_front=False,
-        enough=False,
-        reference_rms=reference_rms,
-        reference_flip=0.01,
-        reference_model="path",
-        reference_samples=256,
-    )
-    return Point(**{**row, "width": 160, "height": 90, "variant": "llvm_ad_rgb", "machine": "x86_64, 2 cores", **more})
-
-
-def points():
-    """Three models, one of them with bias and one without an error of its own."""
-    rows = [("path", 4, 0.5, 0.1), ("path", 16, 1.1, 0.05), ("volpath", 4, 2.0, 0.08), ("volpath", 16, 7.0, 0.0)]
-    return [
-        *(point(*row) for row in rows),
-        point("single", 4, 0.3, 0.02, bias=0.2),
-        point("single", 16, 0.5, 0.01, bias=0.2),
-    ]
-
-
-def test_price_of_an_error_follows_the_square_root_and_ends_at_the_bias():
-    """1 / sqrt(n) noise at 0.1 s + 0.01 s a sample: between points, beyond them, and never where bias alone is more."""
-    line = [point("path", n, 0.1 + 0.01 * n, 1 / np.sqrt(n)) for n in (4, 16, 64)]
-    found = price(line, 0.2)
-    assert (found.samples, found.seconds) == pytest.approx((25, 0.35))
-    found = price(line, 0.01)
-    assert (found.samples, found.seconds, found.beyond) == pytest.approx((10000, 100.1, 10000 / 64))
-    assert price(line, 2.0).seconds == pytest.approx(0.14)  # no less than was measured
-    biased = [point("single", n, 0.1 + 0.01 * n, 1 / np.sqrt(n), bias=0.12) for n in (4, 16, 64)]
-    assert price(biased, 0.1) is None
-    assert price(biased, 0.13).samples == pytest.approx(1 / (0.13**2 - 0.12**2))
-
-
 def test_clouds_of_white_noise_are_what_its_blur_leaves():
     """Independent noise of sigma, blurred by a Gaussian of s pixels, has sigma / (2 sqrt(pi) s).
 
@@ -179,21 +121,6 @@ def test_clouds_of_white_noise_are_what_its_blur_leaves():
     expected = NOISE / (2 * np.sqrt(np.pi) * SHAPE[1] / 40)
     assert mottle(flat) == pytest.approx(expected, rel=0.19)
     assert mottle([flat[0], flat[0]]) == 0.0
-
-
-def test_table_can_be_read_back():
-    """Five digits of every number, and nothing lost of what is no number."""
-    rows = list(csv.DictReader(table(points()).splitlines()))
-    assert [(row["model"], row["samples"], row["seconds"]) for row in rows][:3] == [
-        ("path", "4", "0.5"),
-        ("path", "16", "1.1"),
-        ("volpath", "4", "2"),
-    ]
-    again = read(table(points()))
-    assert [replace(one, relative_mse=0, relative_rms=0, p95=0, flip=0) for one in again] == [
-        replace(one, relative_mse=0, relative_rms=0, p95=0, flip=0) for one in points()
-    ]
-    assert [one.relative_rms for one in again] == pytest.approx([one.relative_rms for one in points()], rel=1e-4)
 
 
 def run(*arguments):
@@ -235,21 +162,3 @@ def test_a_small_chart_writes_its_files(stage, tmp_path):
         assert float(row["relative_mse"]) == pytest.approx(float(row["relative_rms"]) ** 2, rel=1e-3)
         assert float(row["seconds"]) > 0 and float(row["first_call_s"]) > 0
         assert row["reference_model"] == "path" and row["reference_samples"] == "512"
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["--samples", "4,many"], ["--samples", "4,16,64"]),
-        (["--models", "pth"], ["pth", "Did you mean 'path'"]),
-        (["--fog", "mor15O"], ["mor15O", "mor150"]),
-        (["--target", "3"], ["--target 3", "0.03"]),
-    ],
-)
-def test_options_out_of_range_are_refused(stage, tmp_path, arguments, words):
-    """One clear line, exit code 2, nothing written."""
-    done = run(stage, "-o", tmp_path / "out", *arguments)
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    for word in words:
-        assert word in done.stderr
-    assert not (tmp_path / "out").exists()

@@ -7,11 +7,9 @@ import json
 import numpy as np
 import pytest
 from colour import cctf_decoding, cctf_encoding
-from support import cli
 
 from docs.studies.scattering_model import DEPTHS, crossing, models, study
 from synfog_usd.base import seeds
-from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera.writers import write_exr
 
@@ -99,24 +97,3 @@ def test_the_noise_is_the_sensors_and_the_place_of_the_error_is_found(tmp_path):
         assert found.over_noise("fitted", "active", "depth", place).value == pytest.approx(units, rel=1e-3), place
         assert found.over_noise("single", "active", "depth", place).value == pytest.approx(single, rel=1e-3), place
     assert found.rendering("active", "depth", 6).value == pytest.approx(0.01 / 1.5, rel=0.3)
-
-
-@pytest.mark.slow
-def test_the_command_writes_tables_and_a_drawing(tmp_path):
-    bake(tmp_path / "bake", glow=20.0)
-    done = cli.study("scattering_model", tmp_path / "bake", "-o", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    assert "| fitted |" in done.stdout and "degrees from the nearest lamp" in done.stdout
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"findings.md", "findings.csv", "findings.png"}
-
-
-ONE_FOGGY = '{"shots": [{"lighting": "a", "fog": "x", "folder": "a/x", "mor_m": 100.0}]}'
-
-
-@pytest.mark.parametrize("text", [None, "{", ONE_FOGGY])
-def test_what_cannot_be_compared_is_one_line(tmp_path, text):
-    if text is not None:
-        (tmp_path / "bake.json").write_text(text, encoding="utf-8")
-    with pytest.raises(ParameterError, match=r"neither a set|no foggy shot with a clear frame") as found:
-        study(tmp_path)
-    assert "\n" not in str(found.value)
