@@ -348,7 +348,7 @@ def cause(code: int) -> tuple[str, str]:
         "SIGSEGV": damaged,
         "SIGABRT": gave_up,
         "SIGBUS": "a file became shorter while it was read",
-        "SIGXCPU": f"reading took more than {READ_CPU_S} s of processor time",
+        "SIGXCPU": f"it took more processor time than it may: {READ_CPU_S} s to read, or what the system allows",
         "SIGALRM": slow,
     }
     statuses = {

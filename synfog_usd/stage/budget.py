@@ -66,6 +66,9 @@ FEW_TRIANGLES, PER_POINT = 1_000_000, 20
 numbers in a small file unfold to any amount.
 """
 
+MAX_ALIKE = 64
+"""Equal shapes in one place that are drawn: no search tree parts them, so a ray tests each."""
+
 MAX_SCHEMAS = 1000
 """Applied API schemas of one prim; USD composes a definition for each further one."""
 

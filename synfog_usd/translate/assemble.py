@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +22,7 @@ from synfog_usd.base.arrays import Array, FloatArray, extent
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, MovingPart, SceneDict, boxes
+from synfog_usd.stage.budget import MAX_ALIKE
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import PREFIX
@@ -136,6 +139,7 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
     images.let_go()
     reused.images, reused.meshes = images, scene.drawer.drawn
     scene.tell_motion()
+    scene.tell_left_out()
     scene.chooser.report(notes)
     volume.rtx_fog(stage, notes)
     bounds = scene.bounds(eye.to_world[:3, 3])
@@ -341,6 +345,8 @@ class _Assembler:
         self.fog_boxes: dict[str, bool | None] = {}
         self.roots: list[str] = []
         self.spread: list[Array | FloatArray] = []
+        self.alike: Counter[Hashable] = Counter()
+        self.left_out: list[str] = []
         self.of_instances = InstancePrimvars(time, notes, self.bindings.inherited)
 
     def build(self, content: Walk) -> None:
@@ -536,6 +542,27 @@ class _Assembler:
                 f"shape of mid-exposure",
             )
 
+    def are_many(self, key: Hashable) -> bool:
+        """Count one more of a key: whether there are more than may be."""
+        self.alike[key] += 1
+        return self.alike[key] > MAX_ALIKE
+
+    def is_one_too_many(self, shape: dict[str, Any]) -> bool:
+        """Whether a shape stands where too many equal ones do; all numbers are looked at where the first are equal."""
+        if shape["type"] == "sphere":
+            return self.are_many((*shape["center"], shape["radius"]))
+        points = shape["positions"]
+        ends = (shape["bsdf"]["id"], len(points), points[:1].tobytes(), points[-1:].tobytes())
+        return self.are_many(ends) and self.are_many((ends, hashlib.sha256(points).digest()))
+
+    def tell_left_out(self) -> None:
+        """Note what stands too often in one place."""
+        if self.left_out:
+            self.notes.warn(
+                self.left_out[0],
+                f"{len(self.left_out)} shapes are left out: more than {MAX_ALIKE} equal ones stand in one place",
+            )
+
     def light_group(self, leaf: Leaf, placement: GroupInstance | None) -> str:
         """Light group of a lamp: as authored on it or above it, else by the label of the thing that it belongs to."""
         above = self.stage.GetPrimAtPath(placement.path) if placement is not None else None
@@ -550,6 +577,9 @@ class _Assembler:
         """A shape in the scene itself, with its label, motion and light."""
         shape, emission, nits = part
         key = f"shape_{len(self.shapes)}"
+        if emission is None and self.is_one_too_many(shape):
+            self.left_out.append(leaf.path)
+            return
         instance = self.instance(leaf, placement, around)
         self.note_motion(key, leaf, placement)
         if placement is None and key in self.moving:
@@ -631,6 +661,9 @@ class _Assembler:
         self.groups[key] = {"type": "shapegroup", **shapes}
         group = {"type": "ref", "id": key}
         for place, matrix in zip(places, matrices, strict=True):
+            if self.are_many((key, matrix.tobytes())):
+                self.left_out.append(place.path)
+                continue
             instance = f"instance_{len(self.placed)}"
             self.placed[instance] = {"type": "instance", "to_world": matrix, "shapegroup": group}
             if self.mover.elsewhere(place.path):
