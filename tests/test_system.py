@@ -105,7 +105,7 @@ def test_a_bake_goes_through_without_them(tmp_path):
         from synfog_usd.cli import worker
         from synfog_usd.dataset import bake, plan
 
-        choice = dict(size=(32, 18), samples=2, fog=("mor150",), lighting=("sky",))
+        choice = dict(size=(32, 18), sampling=plan.Sampling(samples=2), fog=("mor150",), lighting=("sky",))
         bake.bake(plan.BakePlan(Path(sys.argv[1]), Path(sys.argv[2]), **choice), reading=worker.reading_limits)
         """,
         path,

@@ -23,7 +23,7 @@ from docs.studies.model_sheet import CELL_PX, VIEWS_DEG, ordered, write_stage
 from synfog_usd.base import files, resources
 from synfog_usd.base.colour import srgb_encode
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Sampling, StageReading
 from synfog_usd.world.components import thumbnail_file
 from synfog_usd.world.library import library, origin
 from synfog_usd.world.library import model as find
@@ -99,9 +99,8 @@ def _rendered(
             stage,
             Path(folder) / "out",
             size=(size[0] * scale, size[1] * scale),
-            samples=samples,
-            model="path",
-            allow=allow,
+            sampling=Sampling(samples=samples, model="path"),
+            reads=StageReading(allow=allow),
         )
         bake(plan)
         return _developed(next((Path(folder) / "out").rglob("radiance.exr")))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.values import check_words, count, names, number, path_of, seconds, switch, word
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Exposing, Sampling, StageReading
 
 if TYPE_CHECKING:
     from synfog_usd.fog import Fog
@@ -40,7 +40,15 @@ def plan_of(stage: object, out: object = None, **asked: Any) -> BakePlan:
     check_words(asked, OPTIONS)
     values = {word: value for word, value in asked.items() if value is not None}
     attributes = {_ATTRIBUTE.get(word, word): OPTIONS[word](value, _option(word)) for word, value in values.items()}
-    return BakePlan(stage, out, **attributes)
+    groups = {name: kind(**_of(kind, attributes)) for name, kind in _GROUPS.items()}
+    return BakePlan(stage, out, **_of(BakePlan, attributes), **groups)
+
+
+_GROUPS = {"sampling": Sampling, "reads": StageReading, "exposes": Exposing}
+
+
+def _of(kind: type, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    return {field.name: attributes[field.name] for field in fields(kind) if field.name in attributes}
 
 
 def fog_names(value: object, option: str = "--fog") -> tuple[str, ...]:
@@ -119,9 +127,11 @@ _ATTRIBUTE = {
     "resolution": "size",
     "shutter": "shutter_s",
 }
-"""Option -> attribute of `BakePlan`, where they differ."""
+"""Option -> attribute of `BakePlan` or of a record in it, where they differ."""
 
-assert {_ATTRIBUTE.get(option, option) for option in OPTIONS} <= {field.name for field in fields(BakePlan)}
+assert {_ATTRIBUTE.get(option, option) for option in OPTIONS} <= {
+    field.name for kind in (BakePlan, *_GROUPS.values()) for field in fields(kind)
+}
 
 
 def _option(word: str) -> str:

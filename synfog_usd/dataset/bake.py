@@ -107,7 +107,7 @@ def bake(
         _refuse_warnings(plan, scenes.notes(every))
     if all(shot.fog_override is None for shot in todo) and not scenes.foggy and plan.fog != (CLEAR,):
         log(_no_fog(plan, usd.variants(session.stage).get("fog", ())))
-    chosen = backend.start(plan.variant)  # type: ignore[arg-type]
+    chosen = backend.start(plan.sampling.variant)  # type: ignore[arg-type]
     metadata = metadata_of(whole, session.stage_hash, session.graph.hash, chosen.variant)
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
@@ -266,7 +266,7 @@ class _Work:
         from synfog_usd.render.film import aovs
 
         done = self._done(index, 1.0)
-        if self._plan.draft or self._ledger.labels_done():
+        if self._plan.sampling.draft or self._ledger.labels_done():
             return
 
         def report(what: str, part: float) -> None:

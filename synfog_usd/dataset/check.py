@@ -76,7 +76,11 @@ def check(stage: str | os.PathLike[str], **options: Any) -> Checked:
     usd.reread()
     with reading_here():
         findings, notes, light = look(
-            plan.stage, allow=plan.allow, choices=plan.choices, metres_per_unit=plan.metres_per_unit, up=plan.up
+            plan.stage,
+            allow=plan.reads.allow,
+            choices=plan.reads.choices,
+            metres_per_unit=plan.reads.metres_per_unit,
+            up=plan.reads.up,
         )
     return Checked(plan.stage, tuple(findings), tuple(notes), light)
 

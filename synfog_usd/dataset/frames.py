@@ -213,7 +213,7 @@ def load(
         session = begin(plan, None if camera is None else [_one(camera, "--camera")], reading_here)
         session = replace(session, plan=replace(session.plan, camera=one_camera(session)))
         shot = _only_shot(plan, session)
-    backend.start(plan.variant)  # type: ignore[arg-type]
+    backend.start(plan.sampling.variant)  # type: ignore[arg-type]
     return Scene(session, shot, {"stage": stage, **words})
 
 
@@ -240,7 +240,7 @@ def render(
         raise ParameterError(f"render {scene!r:.80}: it takes a scene of load, as in render(load('street.usda'))")
     check_words(options, dict.fromkeys(OF_RENDER))
     plan = plan_of(**scene._asked, quality=quality, seed=seed, **options)
-    backend.start(plan.variant)  # type: ignore[arg-type]
+    backend.start(plan.sampling.variant)  # type: ignore[arg-type]
     session, plan = scene._for(plan)
     shot, scenes, renderer = scene._shot, session.scenes(scene._eye), session.renderer
     with reading_here():
@@ -260,7 +260,7 @@ def render(
     noise = noise_seed(plan.seed, shot.lighting, shot.fog)
     progress("done", 1.0)
     return _frame(
-        label_image(visible, world.instances), Captured(image, result, metered, session.graph, noise, plan.ev)
+        label_image(visible, world.instances), Captured(image, result, metered, session.graph, noise, plan.exposes.ev)
     )
 
 

@@ -71,6 +71,96 @@ def frame_codes(text: str) -> tuple[float, ...]:
     return tuple(first + step * index for index in range(count))
 
 
+@dataclass(frozen=True, kw_only=True)
+class StageReading:
+    """How a stage is read otherwise than it says of itself.
+
+    Attributes:
+        lights: how the stage's intensities are meant, see `translate.translate`.
+        light_scale: what all lights are multiplied by.
+        shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
+        choices, metres_per_unit, up: see `stage.override`.
+        allow: folders outside the stage's own in which its files may lie.
+    """
+
+    lights: str = "auto"
+    light_scale: float = 1.0
+    shutter_s: float | None = None
+    choices: tuple[str, ...] = ()
+    metres_per_unit: float | None = None
+    up: str | None = None
+    allow: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        numbers.check_light(self.light_scale)
+        numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
+        numbers.check_shutter(self.shutter_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposing:
+    """How a camera is exposed.
+
+    Attributes:
+        exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
+        ev: by how many stops the pictures are exposed brighter than the meter says.
+        meter: whether a rig's cameras are exposed `together`, by what all of them see, or `each` by itself.
+        meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
+    """
+
+    exposure_s: float | None = None
+    iso: float | None = None
+    ev: float = 0.0
+    meter: str = TOGETHER
+    meter_for: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.meter not in METERS:
+            raise ParameterError(f"--meter {self.meter}: takes {' or '.join(METERS)}")
+        numbers.check_exposure(exposure_s=self.exposure_s, iso=self.iso, ev=self.ev)
+
+    @property
+    def is_said(self) -> bool:
+        """Whether exposure time or ISO speed is given."""
+        return (self.exposure_s, self.iso) != (None, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How good pictures are to be.
+
+    Attributes:
+        quality: a word of `numbers.QUALITIES`: when sampling stops, and whether pictures are denoised.
+        model, samples, target_error, bands: see `render.shot.Settings`. Samples are the quality's where None; a target
+            error replaces its target.
+        variant: Mitsuba backend, see `render.backend.choose`.
+        draft: for a look alone: without labels or what is left of errors, metered on half of the paths, as they are,
+            and denoised in a part of the time, see `render.denoise.denoise_draft`.
+    """
+
+    quality: str = numbers.STANDARD
+    model: str = "auto"
+    samples: int | None = None
+    target_error: float | None = None
+    bands: int = numbers.RGB
+    variant: str = "auto"
+    draft: bool = False
+
+    def __post_init__(self) -> None:
+        numbers.check_quality(self.quality)
+        if self.samples is None:  # the record is frozen, and is whole from here on
+            object.__setattr__(self, "samples", self.promise.samples)
+        assert self.samples is not None
+        numbers.check_samples(self.samples)
+        numbers.check_target(self.target_error)
+        numbers.check_bands(self.bands)
+
+    @property
+    def promise(self) -> numbers.Quality:
+        """What its quality promises."""
+        return numbers.QUALITIES[self.quality]
+
+
 @dataclass(frozen=True)
 class BakePlan:
     """Everything that decides what a bake writes; its numbers are checked when it is made.
@@ -83,27 +173,14 @@ class BakePlan:
         camera: prim path or name; None is the stage's own choice.
         rig: paths or names of the cameras of the rig to which it belongs, itself among them, '' for the stage's own:
             they see one world, about the place of the first.  Empty for a camera by itself.
-        meter: whether a rig's cameras are exposed `together`, by what all of them see, or `each` by itself.
-        meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
         frame: time code; None is the stage's start.
         size: (width, height) in pixels; None is the stage's own.
-        quality: a word of `numbers.QUALITIES`: when sampling stops, and whether pictures are denoised.
+        sampling, reads, exposes: how good the pictures are, how the stage is read, how the camera is exposed.
+        seed: of all that is drawn.
         sampling_seed: of the light's paths, which all frames of a stage have in common, so that what sampling leaves of
             noise does not flicker; None for `seed`.
-        model, samples, seed, target_error, bands: see `render.shot.Settings`. Samples are the quality's where None; a
-            target error replaces its target.
-        variant: Mitsuba backend, see `render.backend.choose`.
         strict: whether a warning of the translation stops the bake.
-        lights: how the stage's intensities are meant, see `translate.translate`.
-        light_scale: what all lights are multiplied by.
-        shutter_s: time [s] for which the shutter is open, about the frame's own; None is the camera's.
-        exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
-        ev: by how many stops the pictures are exposed brighter than the meter says.
-        choices, metres_per_unit, up: how the stage is read otherwise than it says of itself, see `stage.override`.
-        allow: folders outside the stage's own in which its files may lie.
         clip: what frame of a sequence it is, or None.
-        draft: for a look alone: without labels or what is left of errors, metered on half of the paths, as they are,
-            and denoised in a part of the time, see `render.denoise.denoise_draft`.
         by_lighting: whether each lighting has a folder for its fogs; without, fogs lie in `out` itself.
         same_noise: whether all fogs of a lighting have the temporal noise of its clear frame, instead of their own.
     """
@@ -116,48 +193,19 @@ class BakePlan:
     camera: str | None = None
     frame: float | None = None
     size: tuple[int, int] | None = None
-    quality: str = numbers.STANDARD
-    model: str = "auto"
-    samples: int | None = None
-    target_error: float | None = None
-    bands: int = numbers.RGB
+    sampling: Sampling = Sampling()
+    reads: StageReading = StageReading()
+    exposes: Exposing = Exposing()
     seed: int = 0
     sampling_seed: int | None = None
-    variant: str = "auto"
     strict: bool = False
-    lights: str = "auto"
-    light_scale: float = 1.0
-    choices: tuple[str, ...] = ()
-    metres_per_unit: float | None = None
-    up: str | None = None
-    shutter_s: float | None = None
-    exposure_s: float | None = None
-    iso: float | None = None
-    ev: float = 0.0
-    allow: tuple[Path, ...] = ()
     clip: ClipFrame | None = None
-    draft: bool = False
     by_lighting: bool = True
     same_noise: bool = False
     rig: tuple[str, ...] = ()
-    meter: str = TOGETHER
-    meter_for: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.meter not in METERS:
-            raise ParameterError(f"--meter {self.meter}: takes {' or '.join(METERS)}")
-        numbers.check_quality(self.quality)
-        if self.samples is None:  # the plan is frozen, and is whole from here on
-            object.__setattr__(self, "samples", self.promise.samples)
-        assert self.samples is not None
-        numbers.check_samples(self.samples)
-        numbers.check_target(self.target_error)
-        numbers.check_light(self.light_scale)
         numbers.check_frame(self.frame)
-        numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
-        numbers.check_shutter(self.shutter_s)
-        numbers.check_exposure(exposure_s=self.exposure_s, iso=self.iso, ev=self.ev)
-        numbers.check_bands(self.bands)
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)
@@ -166,11 +214,6 @@ class BakePlan:
     def paths(self) -> int:
         """Seed of the light's paths."""
         return self.seed if self.sampling_seed is None else self.sampling_seed
-
-    @property
-    def promise(self) -> numbers.Quality:
-        """What its quality promises."""
-        return numbers.QUALITIES[self.quality]
 
 
 def noise_seed(seed: int, lighting: str, fog: str, *, same_noise: bool = False) -> int:

@@ -91,7 +91,7 @@ def write_rig(plan: BakePlan, folders: Mapping[str, str]) -> dict[str, Any]:
         "schema": "synfog-usd/rig",
         "version": 1,
         "stage": plan.stage.name,
-        "meter": plan.meter,
+        "meter": plan.exposes.meter,
         "cameras": rows,
     }
     files.write_json(plan.out / RIG, manifest)

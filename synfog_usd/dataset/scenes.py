@@ -61,13 +61,13 @@ class Scenes:
             lighting=shot.lighting_variant or self.authored.get("lighting"),
         )
         first = plan.rig[0] if plan.rig else plan.camera
-        view = StageView(first, plan.frame, plan.size, shot.fog_override, plan.lights, plan.light_scale)
+        view = StageView(first, plan.frame, plan.size, shot.fog_override, plan.reads.lights, plan.reads.light_scale)
         if fresh := shot.lighting not in self.lightings:
             before = self.before.get(shot.lighting) or next(iter(self.lightings.values()), None)
             self.lightings[shot.lighting] = Exchange(self.stage, view, rig=plan.rig[1:], before=before)
         entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
-            self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.light_scale)
+            self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.reads.light_scale)
         if fresh and plan.camera == first:
             self.known[shot] = self.through_lens(entry.scene)
             return self.known[shot]

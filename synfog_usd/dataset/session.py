@@ -108,7 +108,7 @@ class Session:
         from synfog_usd.render.shot import render
 
         if (lighting, camera) not in self.frames:
-            draft, few = self.plan.draft, CLIP_METER_SAMPLES if clear.moving else METER_SAMPLES
+            draft, few = self.plan.sampling.draft, CLIP_METER_SAMPLES if clear.moving else METER_SAMPLES
             clean = not draft and not backend.is_scalar() and not denoise.available()
             size = METER_WIDTH_PX, max(1, round(METER_WIDTH_PX * clear.camera.height_px / clear.camera.width_px))
             self.frames[lighting, camera] = render(
@@ -133,8 +133,8 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
     from synfog_usd.render import backend, models
     from synfog_usd.translate import own_camera
 
-    models.check_name(plan.model)
-    backend.begin(plan.variant)  # type: ignore[arg-type]
+    models.check_name(plan.sampling.model)
+    backend.begin(plan.sampling.variant)  # type: ignore[arg-type]
     graph = camera.load_graph(plan.pipeline or Path("phone"))
     for name, port in graph.inputs.items():
         if port.quantity is not Quantity.RADIANCE:
@@ -143,17 +143,18 @@ def begin(plan: BakePlan, names: Sequence[str] | None, reading: Reading) -> Sess
                 f"with 'synfog-usd graph run' on radiance.exr; depth of field is drawn where the stage's camera has "
                 f"fStop and focusDistance"
             )
-    graph = camera.exposed(graph, exposure_s=plan.exposure_s, iso=plan.iso)
-    check_compensation(graph, plan.ev)
+    graph = camera.exposed(graph, exposure_s=plan.exposes.exposure_s, iso=plan.exposes.iso)
+    check_compensation(graph, plan.exposes.ev)
     with reading():
-        stage = usd.open_stage(plan.stage, allow=plan.allow)
-        if plan.choices or any(value is not None for value in (plan.metres_per_unit, plan.up, plan.shutter_s)):
+        stage = usd.open_stage(plan.stage, allow=plan.reads.allow)
+        reads = plan.reads
+        if reads.choices or (reads.metres_per_unit, reads.up, reads.shutter_s) != (None, None, None):
             usd.override(
                 stage,
-                choices=plan.choices,
-                metres_per_unit=plan.metres_per_unit,
-                up=plan.up,
-                shutter_s=plan.shutter_s,
+                choices=reads.choices,
+                metres_per_unit=reads.metres_per_unit,
+                up=reads.up,
+                shutter_s=reads.shutter_s,
             )
         own_path = own_camera(stage)
         cameras: tuple[str | None, ...] = (None,) if names is None else usd.named_cameras(stage, names)
@@ -217,7 +218,7 @@ class Renderer:
 
     def serve(self, plan: BakePlan) -> None:
         """Render for another plan from now on; what is loaded stays where it is what that wants."""
-        if (plan.bands == RGB) != (self.plan.bands == RGB):
+        if (plan.sampling.bands == RGB) != (self.plan.sampling.bands == RGB):
             self.free()
         self.plan = plan
 
@@ -229,7 +230,7 @@ class Renderer:
         if self.world is not scene.world:
             known = self.loaded.known if self.loaded and scene.moving else None
             self.free()
-            spectra = self.plan.bands != RGB
+            spectra = self.plan.sampling.bands != RGB
             self.loaded, self.world = load(scene, boundaries=False, spectra=spectra, known=known), scene.world
             self.views[scene.camera.path] = self.loaded
         if scene.camera.path not in self.views:

@@ -16,7 +16,7 @@ from synfog_usd.base import files, resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Sampling
 from synfog_usd.world.compose import compose
 
 GAP_PX, CAPTION_PX = 4, 16
@@ -88,9 +88,7 @@ def write(plan: SheetPlan, *, progress: Progress = silent, log: Callable[[str], 
                     lighting=(plan.lighting,),
                     fog=plan.fogs,
                     size=plan.size,
-                    samples=plan.samples,
-                    model=plan.model,
-                    variant=plan.variant,
+                    sampling=Sampling(samples=plan.samples, model=plan.model, variant=plan.variant),
                 ),
                 progress=report,
             )

@@ -62,13 +62,13 @@ def is_metered(graph: NodeGraph, plan: BakePlan) -> bool:
     """Whether a lighting is looked at in clear air, to find out how it is exposed."""
     from synfog_usd import camera
 
-    return bool(camera.exposure_left_open(graph) or plan.meter_for) or (plan.exposure_s, plan.iso) != (None, None)
+    return bool(camera.exposure_left_open(graph) or plan.exposes.meter_for or plan.exposes.is_said)
 
 
 def clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str | None, SceneDict]:
     """What is metered for a shot, without fog, by camera: what its own sees, and the others that are exposed alike."""
     plan = session.plan
-    partners = [name for name in plan.rig if name != camera] if plan.meter == TOGETHER else []
+    partners = [name for name in plan.rig if name != camera] if plan.exposes.meter == TOGETHER else []
     clear = cleared(session.stage, shot)
     return {name: replace(session.scenes(name).of(clear), fog=()) for name in (camera, *partners)}
 
@@ -92,16 +92,16 @@ def meter_view(
     scene = next(iter(clear.values()))
     loaded = session.renderer.loaded_for(scene, models.AUTO)
     ready()
-    needed = camera.exposure_left_open(graph) or (plan.exposure_s, plan.iso) != (None, None)
-    exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.ev) if needed else None
+    needed = camera.exposure_left_open(graph) or plan.exposes.is_said
+    exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.exposes.ev) if needed else None
     if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
         )
-    fixed = {"exposure_s": plan.exposure_s, "iso": plan.iso}
-    graphs = {path.stem: camera.exposed(camera.load_graph(path), **fixed) for path in plan.meter_for}
+    fixed = {"exposure_s": plan.exposes.exposure_s, "iso": plan.exposes.iso}
+    graphs = {path.stem: camera.exposed(camera.load_graph(path), **fixed) for path in plan.exposes.meter_for}
     further = {
-        name: camera.meter(frame, other_graph, side_frames=side_frames, compensation_ev=plan.ev)
+        name: camera.meter(frame, other_graph, side_frames=side_frames, compensation_ev=plan.exposes.ev)
         for name, other_graph in graphs.items()
         if camera.exposure_left_open(other_graph)
     }
@@ -169,7 +169,7 @@ def sample_shot(
     floor = pixel_noise(view.noise, density) if view and view.noise else None
     looked_at = view if view and view.world is scene.world else None
     through = transmittance.of_instances(scene, looked_at.parts if looked_at else None, measured_depth)
-    loaded = renderer.loaded_for(scene, plan.model)
+    loaded = renderer.loaded_for(scene, plan.sampling.model)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
     settings = settings_of(plan, floor, density, seed32(plan.paths, shot.lighting, shot.fog))
     clear = looked_at.visible if looked_at and not loaded.boundaries and not scene.camera.width_m else None
@@ -212,19 +212,20 @@ def settings_of(
     from synfog_usd.render.sampling.adaptive import sensor_target
     from synfog_usd.render.shot import Settings
 
-    assert plan.samples is not None  # a plan that was made is whole
-    quality, by_quality = plan.promise, plan.target_error is None
-    error = quality.error if by_quality else plan.target_error
+    sampling = plan.sampling
+    assert sampling.samples is not None  # a plan that was made is whole
+    quality, by_quality = sampling.promise, sampling.target_error is None
+    error = quality.error if by_quality else sampling.target_error
     return Settings(
-        model=plan.model,
-        samples=max(2, round(plan.samples / density**2)),
+        model=sampling.model,
+        samples=max(2, round(sampling.samples / density**2)),
         seed=seed,
         target_error=min(1.0, error * density) if error is not None else None,
         target_mottle=quality.mottle if by_quality else None,
         sensor_sigma=sensor_target(floor) if floor and by_quality and quality.sensor else None,
-        bands=plan.bands,
+        bands=sampling.bands,
         denoise=quality.clean,
-        draft=plan.draft,
+        draft=sampling.draft,
         regularize=quality.clean,
     )
 

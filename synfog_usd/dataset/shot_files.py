@@ -77,8 +77,8 @@ def provenance_of(result: RenderedShot, plan: BakePlan, specimen: str | None) ->
         more["sharp_at_m"] = result.scene.camera.focus_m
     if specimen is not None:
         more["specimen"] = specimen
-    if plan.ev:
-        more["exposure_bias_ev"] = plan.ev
+    if plan.exposes.ev:
+        more["exposure_bias_ev"] = plan.exposes.ev
     if plan.clip is not None:
         more |= {"frame_number": plan.clip.number, "frames_per_s": plan.clip.per_s}
     return more
@@ -161,13 +161,13 @@ def _row(result: RenderedShot, plan: BakePlan) -> dict[str, Any]:
 
 def _exposure(exposure: Exposure, plan: BakePlan) -> dict[str, Any]:
     row: dict[str, Any] = {"exposure_s": exposure.exposure_s, "iso": exposure.iso}
-    if None in (plan.exposure_s, plan.iso):
+    if None in (plan.exposes.exposure_s, plan.exposes.iso):
         row |= _metered_on(plan)
-    return row | ({"ev": plan.ev} if plan.ev else {})
+    return row | ({"ev": plan.exposes.ev} if plan.exposes.ev else {})
 
 
 def _metered_on(plan: BakePlan) -> dict[str, str]:
-    together = f", of {len(plan.rig)} cameras together" if len(plan.rig) > 1 and plan.meter == TOGETHER else ""
+    together = f", of {len(plan.rig)} cameras together" if len(plan.rig) > 1 and plan.exposes.meter == TOGETHER else ""
     return {"metered_on": f"the clear frame, {METER_WIDTH_PX} px wide{together}"}
 
 
@@ -206,20 +206,20 @@ def _target(plan: BakePlan, pixel: tuple[float, float] | None, rendered: Rendere
     For the quality `sensor`: the shares of its noise under which what differs from seed to seed and the whole error are
     to stay.
     """
-    quality = plan.promise
+    sampling, quality = plan.sampling, plan.sampling.promise
     target: dict[str, Any] = {}
-    if plan.target_error is not None:
-        target = {"relative_error": plan.target_error}
+    if sampling.target_error is not None:
+        target = {"relative_error": sampling.target_error}
     elif quality.error is not None:
         target = {"relative_error": quality.error, "mottle": quality.mottle}
     elif not quality.sensor or pixel is None:
-        target = {"samples": plan.samples}
+        target = {"samples": sampling.samples}
     if pixel is not None:
         target["sensor"] = {
             "electrons_per_cd_m2": float(f"{pixel[0]:.4g}"),
             "dark_noise_e": float(f"{pixel[1]:.4g}"),
         }
-        if quality.sensor and plan.target_error is None:
+        if quality.sensor and sampling.target_error is None:
             whole = 1.0 if rendered.radiance.provenance.get("denoised") else 1 / 3
             target["sensor"] |= {"share": 1 / 3, "whole_share": whole}
     return target | ({} if rendered.under_target is None else {"pixels_under_it": round(rendered.under_target, 4)})

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Shot, shots
+from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, Sampling, Shot, shots
 from synfog_usd.fog import Fog
 
 OFFERED = {"fog": ("clear", "mor600", "mor150"), "lighting": ("sky", "active")}
@@ -107,11 +107,11 @@ def test_what_a_stage_has_without_a_choice_is_called_authored(offered):
 
 def test_a_quality_is_a_word_and_decides_what_is_left_open():
     """Samples are its own unless they are said, and the reference is not clean; another word is refused with a hint."""
-    plan = BakePlan(Path("street.usda"), Path("out"))
+    plan = Sampling()
     assert (plan.quality, plan.samples, plan.promise.clean) == ("standard", 64, True)
-    truth = BakePlan(Path("street.usda"), Path("out"), quality="reference", samples=8)
+    truth = Sampling(quality="reference", samples=8)
     assert (truth.samples, truth.promise.clean) == (8, False)
     with pytest.raises(ParameterError, match=r"^--quality standart: .* Did you mean 'standard'\?$"):
-        BakePlan(Path("street.usda"), Path("out"), quality="standart")
+        Sampling(quality="standart")
     with pytest.raises(ParameterError, match=r"^--quality None: not known; it takes draft, standard, "):
-        BakePlan(Path("street.usda"), Path("out"), quality=None)
+        Sampling(quality=None)

@@ -15,14 +15,15 @@ from synfog_usd.camera import writers
 from synfog_usd.camera.exposure import meter
 from synfog_usd.dataset import session
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Exposing, Sampling
 from synfog_usd.dataset.rig import bake_cameras, folders_of
 from synfog_usd.dataset.sets.load import define_set
 from synfog_usd.dataset.sets.scenes import scene
 from synfog_usd.dataset.sets.unit import make
 from synfog_usd.translate import Exchange, StageView, exchange
 
-SMALL = dict(size=(48, 28), quality="reference", samples=4, bands=3)
+SMALL = dict(size=(48, 28), sampling=Sampling(quality="reference", samples=4, bands=3))
+EACH = Exposing(meter="each")
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +75,7 @@ def test_two_cameras_are_translated_and_loaded_once_a_lighting(both):
 def test_a_rig_is_exposed_once(both):
     """One exposure for both cameras in a lighting; and it is between those that each would have by itself."""
     folder = both[0]
-    plan = BakePlan(folder / "rig.usda", folder / "each", lighting=("sky",), fog=("clear",), meter="each", **SMALL)
+    plan = BakePlan(folder / "rig.usda", folder / "each", lighting=("sky",), fog=("clear",), exposes=EACH, **SMALL)
     bake_cameras(plan, ["/World"])
 
     def exposed(way, name):

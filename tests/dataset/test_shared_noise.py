@@ -16,7 +16,7 @@ from support.stages import street
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import OPS, writers
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Sampling
 
 SIZE = (96, 54)
 CHANCE = 5.0 / np.sqrt(SIZE[0] * SIZE[1])  # five standard deviations of the correlation of independent pixels: 0.07
@@ -69,8 +69,9 @@ def shots(folder, *, seed=0, same_noise=False, cells=CELLS):
     stage, found = stage_of(folder), {}
     for camera, frame in dict.fromkeys(cell[:2] for cell in cells):
         out = folder / f"{camera}-{frame}-{seed}-{same_noise}"
-        options = dict(quality="reference", samples=4, size=SIZE, bands=3, seed=seed, same_noise=same_noise)
-        plan = dict(pipeline=folder / "graph.yaml", camera=CAMERAS[camera], frame=frame, model="path")
+        sampling = Sampling(quality="reference", samples=4, bands=3, model="path")
+        options = dict(sampling=sampling, size=SIZE, seed=seed, same_noise=same_noise)
+        plan = dict(pipeline=folder / "graph.yaml", camera=CAMERAS[camera], frame=frame)
         lighting, fog = (tuple(dict.fromkeys(cell[axis] for cell in cells)) for axis in (2, 3))
         bake(BakePlan(stage, out, **plan, **options, lighting=lighting, fog=fog))
         for cell in cells:
@@ -186,7 +187,17 @@ def test_the_serial_number_of_a_rigs_camera_is_in_its_raw(tmp_path):
     stage = stage_of(tmp_path)
     for camera, tail in ((None, ""), ("/World/Ego", ""), ("/World/Right", ":/World/Right")):
         out = tmp_path / str(camera)[-5:]
-        bake(BakePlan(stage, out, camera=camera, size=(32, 18), samples=2, lighting=("sky",), fog=("clear",)))
+        bake(
+            BakePlan(
+                stage,
+                out,
+                camera=camera,
+                size=(32, 18),
+                sampling=Sampling(samples=2),
+                lighting=("sky",),
+                fog=("clear",),
+            )
+        )
         with tifffile.TiffFile(out / "sky/clear/raw.dng") as file:
             assert file.pages[0].tags[50735].value == "imx363-0001" + tail  # CameraSerialNumber
         made = json.loads((out / "bake.json").read_text())["shots"][0]["files"]

@@ -17,7 +17,7 @@ from synfog_usd.dataset.exports import cityscapes, kitti, vkitti2
 from synfog_usd.dataset.exports.folder import ExportFolder
 from synfog_usd.dataset.exports.frames import pictures
 from synfog_usd.dataset.exports.record import Boxed
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Sampling
 from synfog_usd.dataset.rig import bake_cameras
 from synfog_usd.translate import Exchange, StageView
 
@@ -45,9 +45,7 @@ def pair(tmp_path_factory):
         lighting=("sky",),
         fog=("clear",),
         size=(WIDTH, 90),
-        samples=2,
-        quality="reference",
-        bands=3,
+        sampling=Sampling(samples=2, quality="reference", bands=3),
     )
     bake_cameras(BakePlan(path, folder / "out", **plan), ["/World"])
     return folder / "out"

@@ -19,7 +19,7 @@ BAKE = """
 import json, sys
 from pathlib import Path
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Sampling
 from synfog_usd.render import backend
 if backend.start("auto").name != "llvm":
     print(json.dumps(None))
@@ -42,7 +42,7 @@ def progress(what, fraction):
     keep()
     lighting = what.split("/")[0] if "/" in what else lighting
 lighting, found = "", {}
-plan = BakePlan(folder / "street.usda", folder / out, size=(width, height), samples=samples)
+plan = BakePlan(folder / "street.usda", folder / out, size=(width, height), sampling=Sampling(samples=samples))
 bake(plan, progress=progress)
 print(json.dumps([[str(name), place, count, new] for (name, place), (count, new) in found.items()]))
 """

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.base import files, resources, system
 from synfog_usd.base.errors import OutputError, SetError
 from synfog_usd.base.progress import Progress, silent
-from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, noise_seed
+from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Exposing, Sampling, StageReading, noise_seed
 from synfog_usd.dataset.sets import layout
 from synfog_usd.dataset.sets.definition import SetDefinition, exposed
 from synfog_usd.dataset.sets.layout import Unit
@@ -94,15 +94,16 @@ def _plan(
         camera=unit.camera or None,
         size=definition.size,
         seed=planned.seed,
-        variant=variant,
-        allow=(resources.folder("assets"),),
         by_lighting=False,
         same_noise=definition.same_noise,
         rig=definition.cameras if len(definition.cameras) > 1 else (),
-        meter=definition.meter,
-        meter_for=definition.pipelines[1:] if _one_exposure(definition) else (),
-        **definition.quality,
-        **definition.exposure,  # type: ignore[arg-type]
+        sampling=Sampling(variant=variant, **definition.quality),
+        reads=StageReading(allow=(resources.folder("assets"),)),
+        exposes=Exposing(
+            meter=definition.meter,
+            meter_for=definition.pipelines[1:] if _one_exposure(definition) else (),
+            **definition.exposure,
+        ),
     )
 
 
