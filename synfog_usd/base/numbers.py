@@ -39,7 +39,7 @@ class Quality:
 
 
 QUALITIES = {
-    "draft": Quality("composition and light can be judged", samples=4),
+    "draft": Quality("composition and light can be judged", samples=4, mottle=0.02),
     "standard": Quality("nothing that a person sees at full size", samples=64, error=0.06, mottle=0.01),
     "sensor": Quality("a RAW deviates at most 1.15 times what its sensor does", samples=128, sensor=True),
     "reference": Quality("neither denoised nor regularized: it converges to the truth", samples=1024, clean=False),

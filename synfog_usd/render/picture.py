@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -241,9 +241,10 @@ class Cleaning:
                 progress("denoising", 0.0)
                 clean = functools.partial(denoising.denoise_halves, quick=self._few)
                 halves = {name: functools.partial(accumulated.halves, name) for name in names}
-                self._done[number] = (denoising.denoise_draft if self._draft else clean)(
+                done = (denoising.denoise_draft if self._draft else clean)(
                     halves, self._guides_of_scene(), accumulated.weights, progress=within(progress, 0.3, 1.0)
                 )
+                self._done[number] = _with_mottle(done, accumulated)
             except (denoising.DenoiserError, MemoryError) as error:
                 self._done[number] = None
                 self.problem = _not_denoised(error)
@@ -281,6 +282,16 @@ class Cleaning:
         if self._guides is None:
             raise MemoryError
         return self._guides
+
+
+def _with_mottle(denoised: denoising.Denoised, accumulated: Accumulator) -> denoising.Denoised:
+    """A picture whose mottle is judged by the noise of its samples as well as by its halves."""
+    if denoised.error is None:
+        return denoised
+    luminance, variance = accumulated.luminance(), accumulated.luminance_variance()
+    noise = dualbuffer.mottle_of_noise(*(values.reshape(accumulated.shape) for values in (luminance, variance)))
+    mottle = dualbuffer.joined_mottle(denoised.error.mottle, noise)
+    return replace(denoised, error=replace(denoised.error, mottle=mottle))
 
 
 def _not_denoised(error: Exception) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import Pixels
 from synfog_usd.base.progress import Progress, silent, within
-from synfog_usd.render.dualbuffer import Error, mottle
+from synfog_usd.render.dualbuffer import LEFT_BY_DENOISING, Error, mottle_of_noise
 from synfog_usd.render.film.accumulator import (
     CHUNK,
     HALVES,
@@ -31,11 +31,8 @@ from synfog_usd.render.film.accumulator import (
 DENOISER_GAIN = 10.0
 """Raw noise over the target from which on denoising is not even tried; it lowers noise 3 to 7 times."""
 
-RAW_MOTTLE = 0.7
-"""Mottle of a denoised picture over that of its raw samples, at least: 0.7 on a motorway at dusk, 1 on the crossing."""
-
-FIRST = 8
-"""Samples of the first round of a picture that is to be denoised: four in each half."""
+FIRST = 2
+"""Samples of the first round of a picture that is to be denoised: one in each half."""
 
 FALL = 0.4
 """A denoised picture's error falls as this power of its samples, about."""
@@ -44,7 +41,7 @@ LEAST_STRIDE = 1.25
 """Times the samples that it has which a picture gets in another round at least."""
 
 LONGEST_STRIDE = 4.0
-"""Times the samples that it has which a picture is given at most once its own error has been looked at."""
+"""The same at most."""
 
 LAST = 0.9
 """Part of what is left to do that a round is taken for at most, unless it is the last allowed: another may follow."""
@@ -189,8 +186,8 @@ def accumulate_denoised(
             needed = target.times_needed(*picture)
             if needed <= 1.0:
                 break
-            needed = min(needed, LONGEST_STRIDE)
-        after = min(math.ceil(spent * max(needed, LEAST_STRIDE) / HALVES) * HALVES, target.samples)
+        stride = min(max(needed, LEAST_STRIDE), LONGEST_STRIDE)
+        after = min(math.ceil(spent * stride / HALVES) * HALVES, target.samples)
         part = LAST if after < target.samples else 1.0
         reach = share + (1.0 - share) * part
     progress("rendering", 1.0)
@@ -202,7 +199,10 @@ def _times_before_denoising(accumulated: Accumulator, target: Target) -> float:
     noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
     needed = float(noise / DENOISER_GAIN) ** 2
     if target.mottle is not None:
-        needed = max(needed, (RAW_MOTTLE * mottle(accumulated.luminance_halves()) / target.mottle) ** 2)
+        luminance, variance = (
+            values.reshape(accumulated.shape) for values in (accumulated.luminance(), accumulated.luminance_variance())
+        )
+        needed = max(needed, (LEFT_BY_DENOISING * mottle_of_noise(luminance, variance) / target.mottle) ** 2)
     return needed
 
 
