@@ -293,7 +293,7 @@ def joined_mottle(halves: float, noise: float) -> float:
 def _relative(squares: Array, level: Array) -> float:
     """Root of the mean of squares over those of a level, both (h, w) and blurred."""
     floor = max(1e-3 * float(np.abs(level).mean(dtype=np.float64)), 1e-30)
-    return float(np.sqrt(np.mean(squares / np.maximum(level, floor) ** 2, dtype=np.float64)))
+    return float(np.sqrt(np.mean((np.sqrt(squares) / np.maximum(level, floor)) ** 2, dtype=np.float64)))
 
 
 def _mottle_px(width: int) -> float:
