@@ -303,9 +303,12 @@ def _mottle_px(width: int) -> float:
 
 def _coarse(picture: Array, part: float = 1.0) -> Array:
     """(h, w) of (H, W) under the blur that leaves mottle alone, or one of a part of its width."""
+    from scipy import ndimage
+
     sigma = _mottle_px(picture.shape[1])
     step = max(1, int(sigma / 4))
-    return _blurred(binned(picture[..., None], step)[..., 0], part * sigma / step)
+    fine = binned(picture[..., None], step)[..., 0]
+    return np.asarray(ndimage.gaussian_filter(fine, part * sigma / step, truncate=3.0))
 
 
 def _ratio(square: Array, scatter: Array) -> np.float32:

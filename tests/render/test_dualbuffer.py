@@ -140,3 +140,5 @@ def test_mottle_is_what_white_noise_leaves_under_a_blur():
     borders = (1.0 + blur_px * np.sqrt(np.pi) / width) * (1.0 + blur_px * np.sqrt(np.pi) / height)
     seen = np.sqrt(np.mean([dualbuffer.mottle(halves) ** 2 for halves in pictures]))
     assert seen == pytest.approx(noise * np.sqrt(borders / 2.0) / (2.0 * blur_px * np.sqrt(np.pi)), rel=0.06)
+    by_variance = dualbuffer.mottle_of_noise(np.ones((height, width)), np.full((height, width), noise**2 / 2.0))
+    assert by_variance == pytest.approx(noise / np.sqrt(2.0) / (2.0 * blur_px * np.sqrt(np.pi)), rel=1e-4)
