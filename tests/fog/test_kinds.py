@@ -143,13 +143,13 @@ def test_media_in_one_place_add_up(nm):
     ]
     both = kinds.joined(media_there)
     at = [medium.sigma_t_per_m * medium.extinction_at(nm) for medium in media_there]
-    assert both.sigma_t_per_m * both.extinction_at(nm) == pytest.approx(sum(at), rel=1e-3)
+    assert both.sigma_t_per_m * both.extinction_at(nm) == pytest.approx(sum(at), rel=1e-4)
     scattered = sum(t * medium.albedo_at(nm) for t, medium in zip(at, media_there, strict=True))
-    assert both.sigma_t_per_m * both.extinction_at(nm) * both.albedo_at(nm) == pytest.approx(scattered, rel=1e-3)
+    assert both.sigma_t_per_m * both.extinction_at(nm) * both.albedo_at(nm) == pytest.approx(scattered, rel=1e-4)
     cosines = np.cos(np.radians([0.5, 10.0, 60.0, 138.0, 175.0]))
     sent = sum(m.sigma_t_per_m * m.albedo * m.phase_function.value(cosines) for m in media_there)
     ours = both.sigma_t_per_m * both.albedo * both.phase_function.value(cosines)
-    np.testing.assert_allclose(ours, sent, rtol=2e-3)
+    np.testing.assert_allclose(ours, sent, rtol=1e-4)
 
 
 def test_ten_of_a_kind_are_one_ten_times_as_dense():
