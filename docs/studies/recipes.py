@@ -9,6 +9,7 @@ The folder holds a picture a recipe, `bridge.png` and so on, as a bake leaves th
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from synfog_usd.base import files
@@ -17,19 +18,18 @@ from synfog_usd.base.errors import ParameterError
 COLUMNS, WIDTH_PX, CAPTION_PX, GAP_PX = 2, 800, 18, 4
 
 
-def sheet(target: Path, folder: Path) -> None:
-    """A JPEG of all PNG pictures in `folder` by name, in rows of two.
+def sheet(target: Path, files_by_caption: Mapping[str, Path]) -> None:
+    """A JPEG of pictures with their captions, in rows of two.
 
     Raises:
-        ParameterError: no picture lies there.
+        ParameterError: there is none.
     """
     from PIL import Image, ImageDraw, ImageFont
 
-    paths, width = sorted(folder.glob("*.png")), WIDTH_PX
-    captions = [path.stem for path in paths]
-    if not paths:
-        raise ParameterError(f"{folder} has no picture, as bridge.png")
-    pictures = [Image.open(path).convert("RGB") for path in paths]
+    captions, width = list(files_by_caption), WIDTH_PX
+    if not captions:
+        raise ParameterError(f"{target}: no picture, as bridge.png, to put on it")
+    pictures = [Image.open(path).convert("RGB") for path in files_by_caption.values()]
     height = max(round(width * picture.height / picture.width) for picture in pictures)
     step = height + CAPTION_PX
     rows = -(-len(pictures) // COLUMNS)
@@ -43,4 +43,4 @@ def sheet(target: Path, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sheet(*(Path(argument) for argument in sys.argv[1:3]))
+    sheet(Path(sys.argv[1]), {path.stem: path for path in sorted(Path(sys.argv[2]).glob("*.png"))})

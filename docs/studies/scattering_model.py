@@ -326,7 +326,7 @@ def models(truth: Array, clear: Array, t: Array, *, white: float, noise: Array) 
         noise: (H, W) of the sensor, as a luminance.
     """
     rest = 1.0 - t[..., None]
-    fitted = _fitted(truth, clear, t, 1.0 / noise)
+    fitted = fitted_airlight(truth, clear, t, 1.0 / noise)
     airlights: dict[str, Array | None] = {
         "fitted": fitted,
         "horizon": np.median(truth[t < 0.02], axis=0) if (t < 0.02).sum() >= 9 else None,
@@ -336,12 +336,12 @@ def models(truth: Array, clear: Array, t: Array, *, white: float, noise: Array) 
         name: clear * t[..., None] + airlight * rest for name, airlight in airlights.items() if airlight is not None
     }
     coded, coded_clear = (srgb_encode(np.clip(picture / white, 0.0, 1.0)) for picture in (truth, clear))
-    mixed = coded_clear * t[..., None] + _fitted(coded, coded_clear, t, np.ones_like(t)) * rest
+    mixed = coded_clear * t[..., None] + fitted_airlight(coded, coded_clear, t, np.ones_like(t)) * rest
     thicker = (t**THICKER)[..., None]
     return result | {"srgb": white * srgb_decode(mixed), "two_percent": clear * thicker + fitted * (1.0 - thicker)}
 
 
-def _fitted(truth: Array, clear: Array, t: Array, weight: Array) -> Array:
+def fitted_airlight(truth: Array, clear: Array, t: Array, weight: Array) -> Array:
     """(C,) the A with the least sum of weighted squares."""
     rest = weight[..., None] * (1.0 - t[..., None])
     away = np.maximum((rest * rest).sum(axis=(0, 1)), 1e-30)
