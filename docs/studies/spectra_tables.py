@@ -12,9 +12,7 @@ import numpy as np
 from synfog_usd.base import resources, tables
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.science import colour_science
-
-LIGHTS = ("D65", "A", "HP1", "LED-B3")
-"""CIE illuminants of the table, by the names of CIE 015:2018."""
+from synfog_usd.base.spectra import LEDS
 
 
 def from_colour_science() -> dict[str, dict[str, Array]]:
@@ -25,7 +23,12 @@ def from_colour_science() -> dict[str, dict[str, Array]]:
         return np.interp(tables.GRID_NM, wavelengths_nm, values)
 
     lights = {
-        name: on_grid(colour.SDS_ILLUMINANTS[name].wavelengths, colour.SDS_ILLUMINANTS[name].values) for name in LIGHTS
+        name: on_grid(colour.SDS_ILLUMINANTS[name].wavelengths, colour.SDS_ILLUMINANTS[name].values)
+        for name in tables.LIGHTS
+    }
+    grid = colour.SpectralShape(float(tables.GRID_NM[0]), float(tables.GRID_NM[-1]), 1.0)
+    lights |= {
+        name: colour.sd_single_led(peak, grid, half_spectral_width=half).values for name, (peak, half) in LEDS.items()
     }
     observer, basis = (
         colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"],

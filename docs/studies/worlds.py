@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from synfog_usd.base import resources
-from synfog_usd.world import compose, parameters
+from synfog_usd.world import compose, library, parameters
 from synfog_usd.world.authoring import APERTURE
 from synfog_usd.world.roads import rules
 from synfog_usd.world.spec import Placement
@@ -74,7 +74,7 @@ def survey(count: int, *, progress: Callable[[int], None] = lambda done: None) -
         found.seconds.append(time.process_time() - began)
         found.worlds[one.name.removesuffix(".yaml")] += 1
         layouts.add((tuple((p.asset, p.x, p.y) for p in world.placed), world.road.reference_line.curvature))
-        users = {p.name: p for p in world.placed if rules.model(p.asset).label in rules.USERS}
+        users = {p.name: p for p in world.placed if library.model(p.asset).label in rules.USERS}
         found.users.append(len(users))
         found.classes.update(label for p in users.values() for label in labels(p))
         fov = math.degrees(2 * math.atan(APERTURE / 2 / world.view.focal_length))
@@ -93,7 +93,7 @@ def survey(count: int, *, progress: Callable[[int], None] = lambda done: None) -
 
 def labels(p: Placement) -> tuple[str, ...]:
     """Classes that a road user counts for: a cyclist is a rider and a bicycle."""
-    label = rules.model(p.asset).label
+    label = library.model(p.asset).label
     return (label, RIDDEN[p.asset]) if p.asset in RIDDEN else (label,)
 
 

@@ -21,6 +21,15 @@ LUMINANCE: Array = np.array([0.2126729, 0.7151522, 0.0721750])
 (0.95047, 1, 1.08883).
 """
 
+TO_XYZ: Array = np.array(
+    [
+        [0.41239080, 0.35758434, 0.18048079],
+        [0.21263901, 0.71516868, 0.07219232],
+        [0.01933082, 0.11919478, 0.95053215],
+    ]
+)
+"""Linear Rec.709 to CIE XYZ, for the primaries and the white of ITU-R BT.709 in four digits."""
+
 PRIMARIES_NM = (611.0, 549.0, 464.0)
 """Dominant wavelengths [nm] of its primaries, at which R, G and B see a medium that is coloured."""
 

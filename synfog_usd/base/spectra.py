@@ -233,12 +233,9 @@ def emission(name: str) -> Array:
     """
     if name in ILLUMINANTS:
         return illuminant(name)
-    colour = colour_science()
-    if name in LEDS:
-        peak, half = LEDS[name]
-        shape = colour.SpectralShape(float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), 1.0)
-        return np.asarray(colour.sd_single_led(peak, shape, half_spectral_width=half).values, dtype=np.float64)
-    standard = colour.SDS_ILLUMINANTS
+    if name in tables.LIGHTS or name in LEDS:
+        return tables.table(tables.STANDARD)[name]
+    standard = colour_science().SDS_ILLUMINANTS
     if name not in standard:
         names = (*ILLUMINANTS, *LEDS, *standard)
         some = (*ILLUMINANTS, *LEDS, "HP1 to HP5", "LED-B1 to LED-B5", "FL1 to FL12")

@@ -19,6 +19,9 @@ GRID_NM: Array = np.arange(380.0, 781.0, 1.0)
 STANDARD = "cie"
 """Name of the table of `GRID_NM`: lights, observer, and the basis of Mallett and Yuksel."""
 
+LIGHTS = ("D65", "A", "HP1", "HP4", "LED-B3", "LED-B4", "LED-B5")
+"""Lights of that table by the names of CIE 015:2018; it has those of `spectra.LEDS` too."""
+
 CAMERAS = {"Nikon 5100 (NPL)": "nikon_5100_npl", "Sigma SDMerill (NPL)": "sigma_sdmerill_npl"}
 """Measured sensitivities in colour-science's `MSDS_CAMERA_SENSITIVITIES` -> name of their table."""
 

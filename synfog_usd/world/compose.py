@@ -83,7 +83,7 @@ def compose(
         seed: the same gives the same bytes in the same place.
         change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
         seconds: of the clip [s], 0 to 120; None for what the recipe's `time` says, and 0 for a still.
-        fps: frames a second, 1 to 240; None for what the recipe's `time` says.
+        fps: frames a second, 1 to 240; None for what the recipe's `time` says.  Of clips alone.
         traffic: FCD of SUMO (.xml) that drives and walks in place of what the recipe draws; it may say `seconds`.
         fcd: file for the same of this clip.
         environment: OpenSCENARIO (.xosc) whose fog, sun and time of day are taken in place of the recipe's.
@@ -106,8 +106,8 @@ def compose(
     if weather:
         chosen = scenario.at_its_hour(chosen, weather)
     spec, clip = clip_of(chosen, draw(chosen, seed=seed), seed=seed)
-    if clip is None and (recorded or out_fcd):
-        raise RecipeError("--traffic and --fcd are of a clip, and this is a still; add --seconds")
+    if clip is None:
+        _refuse_in_stills({"--traffic": traffic, "--fcd": fcd, "--fps": None if seconds == 0 else fps})
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
     if weather:
@@ -163,6 +163,16 @@ def _output(path: str | os.PathLike[str], option: str, kind: str, *suffixes: str
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
         raise RecipeError(f"{option} {out}: not {kind} by its name; it ends in {allowed}")
     return out
+
+
+def _refuse_in_stills(options: Mapping[str, object]) -> None:
+    """Refuse options that are of clips.
+
+    Raises:
+        RecipeError: one has a value.
+    """
+    if names := [name for name, value in options.items() if value is not None]:
+        raise RecipeError(f"{' and '.join(names)}: for a clip, and this is a still; add --seconds")
 
 
 def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, fps: float | None) -> list[str]:

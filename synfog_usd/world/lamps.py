@@ -19,9 +19,9 @@ import numpy.typing as npt
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.base.colour import TO_XYZ
 from synfog_usd.base.errors import ParameterError, did_you_mean
 from synfog_usd.base.photometry import observer
-from synfog_usd.base.science import colour_science
 from synfog_usd.base.spectra import EMISSION, emission
 
 STREET, VEHICLE = "street_lamps", "headlights"
@@ -212,11 +212,9 @@ def tint(name: str) -> tuple[float, float, float]:
     Raises:
         ParameterError: another name.
     """
-    colour = colour_science()
     xyz = observer() @ spectrum(lamp_of(name))
-    space = colour.RGB_COLOURSPACES["ITU-R BT.709"]
-    rgb = np.maximum(np.linalg.inv(space.matrix_RGB_to_XYZ) @ (xyz / xyz[1]), 0.0)
-    rgb /= space.matrix_RGB_to_XYZ[1] @ rgb
+    rgb = np.maximum(np.linalg.inv(TO_XYZ) @ (xyz / xyz[1]), 0.0)
+    rgb /= TO_XYZ[1] @ rgb
     r, g, b = (round(float(c), 4) for c in rgb)
     return r, g, b
 

@@ -105,29 +105,35 @@ class LibraryModel:
         return self.high[2]
 
 
+def _models(folder: Path | None) -> Path:
+    return folder or resources.folder("assets") / "models"
+
+
 @functools.cache
+def names(folder: Path | None = None) -> tuple[str, ...]:
+    """Every component below `folder` (the shipped models if left out)."""
+    return tuple(sorted(path.stem for path in _models(folder).glob("*/*.usda") if path.stem == path.parent.name))
+
+
 def library(folder: Path | None = None) -> Mapping[str, LibraryModel]:
     """Every component below `folder` (the shipped models if left out), by name.
 
     Raises:
         StageError: a component that cannot be read, or lacks class or size.
     """
-    folder = folder or resources.folder("assets") / "models"
-    return MappingProxyType(
-        {path.stem: read(path) for path in sorted(folder.glob("*/*.usda")) if path.stem == path.parent.name}
-    )
+    return MappingProxyType({name: model(name, folder) for name in names(folder)})
 
 
+@functools.cache
 def model(name: str, folder: Path | None = None) -> LibraryModel:
     """One component by name.
 
     Raises:
         StageError: no such model; names the nearest.
     """
-    entry = library(folder).get(name)
-    if entry is None:
-        raise StageError(f"{folder or 'assets/models'}: no model {name!r}.{did_you_mean(name, library(folder))}")
-    return entry
+    if name not in names(folder):
+        raise StageError(f"{folder or 'assets/models'}: no model {name!r}.{did_you_mean(name, names(folder))}")
+    return read(_models(folder) / name / f"{name}.usda")
 
 
 @functools.cache

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from synfog_usd.base.errors import RecipeError, did_you_mean
 from synfog_usd.base.yamlio import Located
+from synfog_usd.world import library
 from synfog_usd.world.language import (
     Categorical,
     Continuous,
@@ -26,7 +27,6 @@ from synfog_usd.world.language import (
     read_fog,
     sections,
 )
-from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.asphalt import KINDS as KINDS_OF_ASPHALT
 from synfog_usd.world.roads.asphalt import WETNESS
 from synfog_usd.world.roads.horizon import KINDS as HORIZONS
@@ -338,7 +338,7 @@ def named(parameter: Parameter) -> Parameter:
         else:
             words = name[1:].split()
             names += [
-                model for model in rules.names() if not words or rules.model(model).group in words or model in words
+                model for model in library.names() if not words or library.model(model).group in words or model in words
             ]
     default = parameter.default
     weights = {key: weight for key, weight in default.items() if key in names} if isinstance(default, dict) else default

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.world import compose
+from synfog_usd.world import compose, library
 from synfog_usd.world.roads import rules
 from synfog_usd.world.traffic import fcd
 
@@ -39,7 +39,7 @@ def test_one_car_and_one_person_by_hand(tmp_path):
     spec = compose.compose("residential", out, seed=3, traffic=tmp_path / "t.xml")
     stage = Usd.Stage.Open(str(out))
     car, person = (next(p for p in spec.placed if p.name.endswith(f"_F00{k}")) for k in (1, 2))
-    assert (car.asset, rules.model(person.asset).group) == ("saloon", "person")
+    assert (car.asset, library.model(person.asset).group) == ("saloon", "person")
     assert sum("_F0" in p.name for p in spec.placed) == 2
     nose = rules.foot("saloon")[3]
     for t, x in ((0.0, 3.0), (2.0, 5.0), (4.0, 7.0)):
@@ -118,7 +118,7 @@ def test_who_rides_is_hidden(tmp_path):
     assert len(cars) == len(found) == 30
     np.testing.assert_allclose([float(one.get("speed")) for one in cars], 10.0, atol=1e-3)
     car = next(p for p in spec.placed if p.name.endswith("_F001"))
-    assert rules.model(car.asset).label == "car"
+    assert library.model(car.asset).label == "car"
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_who_rides_is_hidden(tmp_path):
 def test_a_type_gives_what_drives(kind, label):
     """A type is no model that stands or walks, and a bicycle has its rider."""
     model = fcd._model(fcd.Recorded("a", kind, person=False), np.random.default_rng(1))
-    assert rules.model(model.asset).label == label
+    assert library.model(model.asset).label == label
 
 
 def test_ego_stays_for_the_whole_clip(tmp_path):
@@ -153,6 +153,12 @@ def test_other_names_than_xml_are_refused(tmp_path):
     """Nothing is written over a file of another kind."""
     with pytest.raises(RecipeError, match=r"ends in \.xml"):
         compose.compose("residential", tmp_path / "a.usda", seed=3, seconds=0.2, fcd=tmp_path / "a.usda")
+
+
+def test_frames_without_a_length_are_refused(tmp_path):
+    """A still would be a surprise."""
+    with pytest.raises(RecipeError, match=r"^--fps: for a clip, and this is a still; add --seconds$"):
+        compose.compose("residential", tmp_path / "a.usda", seed=3, fps=10.0)
 
 
 def timestep(row, before=""):

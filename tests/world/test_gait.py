@@ -9,9 +9,8 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 from scipy import spatial
 
-from synfog_usd.world import compose
+from synfog_usd.world import compose, library
 from synfog_usd.world.library import nominal
-from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.traffic.cutting import read_part
 from synfog_usd.world.traffic.gait import gait, skeleton, standing
@@ -103,7 +102,7 @@ def test_joints_are_where_the_meshes_are(asset, individual):
     """Ankles and toes are in the shoes, or within 4 cm of them."""
     bones = skeleton(asset, individual)
     stem = asset if individual == "a" else f"{asset}.{individual}"
-    limbs = limbs_of(rules.model(asset).path.with_name(f"{stem}.geo.usdc"), asset, individual)
+    limbs = limbs_of(library.model(asset).path.with_name(f"{stem}.geo.usdc"), asset, individual)
     for side, suffix in enumerate(("Left", "Right")):
         foot = next(limb for limb in limbs.limbs if limb.name == f"Foot_{suffix}")
         points = np.concatenate([part.points for part in foot.parts.values()])
@@ -172,7 +171,7 @@ def test_all_walkers_that_can_have_limbs():
     for asset, individual in WALKERS:
         for low in ("", ".low"):
             stem = asset if individual == "a" else f"{asset}.{individual}"
-            path = rules.model(asset).path.with_name(f"{stem}{low}.geo.usdc")
+            path = library.model(asset).path.with_name(f"{stem}{low}.geo.usdc")
             limbs = limbs_of(path, asset, individual)
             whole = sum(len(part.faces) for name in limbs.rest if (part := _whole(path, name)))
             cut = sum(len(part.faces) for limb in limbs.limbs for part in limb.parts.values())

@@ -69,7 +69,7 @@ def middle(road, lane, s):
 
 @pytest.mark.parametrize("recipe", [name for name in RECIPES if name not in ("crossroads", "roundabout")])
 def test_a_road_is_where_it_was_drawn(tmp_path, recipe):
-    """Line, heading, height and the middles of lanes agree within a millimetre along the road."""
+    """Line, heading, the middles of lanes and their heights agree within a millimetre along the road."""
     site, root = drawn(tmp_path, recipe, 2)
     (road,) = root.iter("road")
     line = site.reference_line
@@ -81,9 +81,13 @@ def test_a_road_is_where_it_was_drawn(tmp_path, recipe):
         x, y, heading = place(road, float(s))
         np.testing.assert_allclose((x, y), np.array(line.place(s, 0.0)), atol=1e-3)
         assert math.remainder(heading - math.pi / 2 - float(line.heading(s)), 2 * math.pi) == pytest.approx(0, abs=1e-5)
-        assert cubic(road.findall("elevationProfile/elevation"), float(s)) == pytest.approx(
-            float(line.height(s)), abs=1e-3
-        )
+        height = cubic(road.findall("elevationProfile/elevation"), float(s))
+        assert height == pytest.approx(float(line.height(s)), abs=1e-3)
+        for lane in (one for one in lanes if one):
+            t = middle(road, lane, float(s))
+            raised = [number(row, edge) for row in lanes[lane].iter("height") for edge in ("inner", "outer")]
+            above = sum(raised) / 2.0 + cubic(road.findall("lateralProfile/shape"), t, "t")
+            assert height + above == pytest.approx(float(site.ground(s, -t)), abs=1e-3)
 
 
 @pytest.mark.parametrize("recipe", RECIPES)

@@ -12,7 +12,7 @@ import shapely
 from pxr import Sdf, Usd, UsdGeom
 
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.world import compose
+from synfog_usd.world import compose, library
 from synfog_usd.world.roads import rules
 from synfog_usd.world.traffic import idm
 from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Street, Vehicle, drive
@@ -236,9 +236,10 @@ def test_lamps_follow_what_a_vehicle_does(tmp_path):
 
 def test_all_models_that_drive_have_wheels_that_turn():
     """Every tyre of every model of a vehicle belongs to a wheel, in both levels of detail."""
-    folder = rules.model("saloon").path.parent.parent
-    for name in rules.names():
-        if rules.model(name).label not in ("car", "truck", "bus", "bicycle", "motorcycle", "rider") or name == "rider":
+    folder = library.model("saloon").path.parent.parent
+    for name in library.names():
+        kinds = ("car", "truck", "bus", "bicycle", "motorcycle", "rider")
+        if library.model(name).label not in kinds or name == "rider":
             continue
         for file in sorted((folder / name).glob("*.geo.usdc")):
             wheels = wheels_of(file)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from synfog_usd.base.errors import RecipeError
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
@@ -49,7 +50,7 @@ def in_sight(
     for attempt in range(TRIES):
         actors = attempts(attempt, occupied.copy())
         every = numbered([*fixed, *actors])
-        count = sum(rules.model(p.asset).label in rules.USERS for p in every)
+        count = sum(library.model(p.asset).label in rules.USERS for p in every)
         most_users = max(most_users, count)
         if count >= least_users:
             shares = rules.visible_shares(view, fov_x_deg, every, road, within_m=within_m).values()

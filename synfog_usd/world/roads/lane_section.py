@@ -110,7 +110,7 @@ class LaneSection:
         return result
 
     @cached_property
-    def _falling(self) -> tuple[float, float, float, float]:
+    def falling(self) -> tuple[float, float, float, float]:
         """Offsets of the left gutter, of the crown from and to, and of the right gutter [m].
 
         The crown lies between the two directions; gutters end what is paved beside it.
@@ -133,7 +133,7 @@ class LaneSection:
 
     def from_crown(self, t: npt.ArrayLike) -> Array:
         """How far offsets are from the crown [m]; beyond a gutter as at the gutter."""
-        low, from_, to, high = self._falling
+        low, from_, to, high = self.falling
         t = np.clip(np.asarray(t, dtype=np.float64), low, high)
         return np.maximum(np.maximum(from_ - t, t - to), 0.0)
 

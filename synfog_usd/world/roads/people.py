@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synfog_usd.base.errors import RecipeError
+from synfog_usd.world import library
 from synfog_usd.world.language import Recipe
 from synfog_usd.world.parameters import WALKERS
 from synfog_usd.world.roads import rules
@@ -84,7 +85,7 @@ def walking(
         if footways.most > 1 and names[0] in COMPANY and rng.random() < company:
             company_of = 2 if footways.most > 2 and rng.random() < A_THIRD else 1
             names += [kinds.word(rng, friends) for _ in range(min(company_of, count - len(placed) - 1))]
-        looks = None if footways.redressed else [look(rng, rules.model(name)) for name in names]
+        looks = None if footways.redressed else [look(rng, library.model(name)) for name in names]
         for attempt in range(footways.tries):
             group = names if attempt < footways.tries // 2 else names[:1]
             places = footways.places(rng, crosses, names[0] in WALKERS)
@@ -109,7 +110,7 @@ def _together(
     group: list[Placement] = []
     trial = room.copy() if len(names) > 1 else room
     for index, (name, place) in enumerate(zip(names, places, strict=False)):
-        worn = look(rng, rules.model(name)) if looks is None else dict(looks[index])
+        worn = look(rng, library.model(name)) if looks is None else dict(looks[index])
         if place is None:
             return []
         x, y, z, heading = place

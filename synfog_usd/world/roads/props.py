@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from synfog_usd.world import library
 from synfog_usd.world.language import Distribution
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import rules
@@ -90,7 +91,7 @@ def row(
     s = front.start
     while s is None or s < front.end:
         asset, turned = distributions["models"].word(rng), distributions["turn"].word(rng)
-        model, size = rules.model(asset), round(float(distributions["size"].number(rng)), 3)
+        model, size = library.model(asset), round(float(distributions["size"].number(rng)), 3)
         extent = (model.width if turned in ("road", "back") else model.length) * size
         step, gap = optional(distributions["step_m"], rng), float(distributions["gap_m"].number(rng))
         if s is None:
@@ -121,7 +122,7 @@ def standing(
 ) -> Placement:
     """A thing at x, y, z [m] that looks along a heading [degrees], in the group of its kind."""
     x, y, z = place
-    group = rules.prim_group(rules.model(asset))
+    group = rules.prim_group(library.model(asset))
     return Placement(group, "", asset, x, y, heading, looks, z=z, size=size)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.seeds import seed32
+from synfog_usd.world import library
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Draws
 from synfog_usd.world.library import nominal
@@ -91,7 +92,7 @@ def _laid(level: Road, crossfall: float, view: View, placed: Sequence[Placement]
     result = []
     for i, p in enumerate(placed, 1):
         p = replace(p, z=round(p.z + float(drop[i]), 4))
-        if p.group == "Vehicles" and rules.model(p.asset).group != "rider":
+        if p.group == "Vehicles" and library.model(p.asset).group != "rider":
             p = replace(p, pitch=float(pitch[i]), roll=float(roll[i]))
         result.append(p)
     return road, replace(view, z=round(view.z + float(drop[0]), 3)), result
@@ -134,7 +135,7 @@ def plated(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placem
     """With a number plate for each vehicle that has one."""
     result = []
     for p in placed:
-        choices = rules.model(p.asset).variants.get("plate", ())
+        choices = library.model(p.asset).variants.get("plate", ())
         if choices:
             p = replace(p, variants={**p.variants, "plate": choices[int(rng.integers(len(choices)))]})
         result.append(p)
@@ -148,7 +149,7 @@ def signed(placed: Sequence[Placement], view: View, rng: np.random.Generator) ->
     shown: set[tuple[str, int]] = set()
     result = list(placed)
     for p in sorted(placed, key=lambda p: math.hypot(p.x - view.x, p.y - view.y)):
-        choices = rules.model(p.asset).variants.get("shops", ())
+        choices = library.model(p.asset).variants.get("shops", ())
         if choices:
             rows = nominal().get(p.asset, {}).get("shops", ())
             order = [choices[i] for i in rng.permutation(len(choices))]
@@ -168,7 +169,7 @@ def posed(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placeme
     people: list[Placement] = []
     last: dict[str, str] = {}
     for p in placed:
-        model = rules.model(p.asset)
+        model = library.model(p.asset)
         choices = model.variants.get("individual", ()) if model.group == "person" else ()
         if choices:
             near = [q for q in people if math.hypot(p.x - q.x, p.y - q.y) < TOGETHER_M]
@@ -292,13 +293,13 @@ def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:
     def distance(p: Placement) -> float:
         return math.hypot(p.x - view.x, p.y - view.y)
 
-    lamps = sorted((p for p in placed if rules.model(p.asset).group == "lamp"), key=distance)
+    lamps = sorted((p for p in placed if library.model(p.asset).group == "lamp"), key=distance)
     cars = sorted((p for p in placed if p.lit), key=distance)
     near = {id(p) for p in [*lamps[:NEAREST_LAMPS], *cars[:NEAREST_LIT]] if distance(p) < LIT_M}
     result = []
     for p in placed:
-        choices = rules.model(p.asset).variants.get("lamps", ())
-        if (rules.model(p.asset).group == "lamp" or p.lit) and choices:
+        choices = library.model(p.asset).variants.get("lamps", ())
+        if (library.model(p.asset).group == "lamp" or p.lit) and choices:
             state = "brake" if p.lit.get("lamps") == "brake" else "on"
             p = replace(p, lit={"lamps": state if id(p) in near or "glow" not in choices else "glow"})
         elif p.lit:
@@ -309,6 +310,6 @@ def _lit(placed: Sequence[Placement], view: View) -> list[Placement]:
 
 def _coarser(p: Placement, view: View) -> Placement:
     """With the coarse geometry of its model, where it has one and is far: 2 cm are half a pixel at LOW_M."""
-    if "low" not in rules.model(p.asset).variants.get("lod", ()) or math.hypot(p.x - view.x, p.y - view.y) < LOW_M:
+    if "low" not in library.model(p.asset).variants.get("lod", ()) or math.hypot(p.x - view.x, p.y - view.y) < LOW_M:
         return p
     return replace(p, variants={**p.variants, "lod": "low"})

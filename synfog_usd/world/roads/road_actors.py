@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from synfog_usd.base.errors import RecipeError
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import people, rules, traffic
 from synfog_usd.world.roads.lane_section import RAISED, Lane
@@ -60,7 +61,7 @@ def _traffic(
         rng = draws.stream("traffic", attempt, "lane", index)
         blocked = [(station - behind - least, station + before + max(least, 4.0))] if lane is ego_lane else []
         free = traffic.spans(road, low, high, blocked)
-        among = [name for name in ON_A_BUS_LANE if name in rules.names()] if lane.kind == "bus" else None
+        among = [name for name in ON_A_BUS_LANE if name in library.names()] if lane.kind == "bus" else None
         vehicles = traffic.flowing(draws.recipe, rng, free, counts[index], least, among)
         placed += traffic.fill(_lane(road, lane, speed), vehicles, rng, room)
     for number in range(draws.whole("traffic.cyclists")):

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws, Row
 from synfog_usd.world.roads import props, rules
 from synfog_usd.world.roads.lane_section import PAVED
@@ -52,12 +53,12 @@ def unhidden(road: Road, placed: Sequence[Placement], gantries: Sequence[float])
     """
     boards = [(s, lane.middle, lane.width / 2, 1) for s in gantries for lane in road.driving_lanes if lane.way > 0]
     for p in placed:
-        model = rules.model(p.asset)
+        model = library.model(p.asset)
         if model.group == "sign" and model.height * p.size > BOARD_M:
             s, t = (float(v) for v in road.reference_line.nearest(p.x, p.y))
             boards.append((s, t, model.width * p.size / 2, 1 if t > 0 else -1))
     hidden = np.zeros(len(placed), dtype=bool)
-    trees = [rules.model(p.asset) if rules.model(p.asset).group == "plant" else None for p in placed]
+    trees = [library.model(p.asset) if library.model(p.asset).group == "plant" else None for p in placed]
     middles = np.array([(p.x, p.y) for p in placed]).reshape(-1, 2)
     reach = np.array(
         [0.0 if m is None else max(m.length, m.width) * p.size / 2 for m, p in zip(trees, placed, strict=True)]
@@ -100,7 +101,7 @@ def _at_zebras(
         asset = row.distributions["models"].word(rng)
         base = _counted_from(road, row.distributions["from"].word(rng), sign)
         t = base + sign * float(row.distributions["out_m"].number(rng))
-        looks = props.look(rng, rules.model(asset))
+        looks = props.look(rng, library.model(asset))
         angle = _turn(row.distributions["turn"].word(rng), sign, 0.0)
         p = _stood(road, asset, zebra - sign * BESIDE_ZEBRA_M, t, angle, looks, 1.0, at_zebra=True)
         if p is not None and occupied.take(p):
@@ -130,7 +131,7 @@ def _stood(
     at_zebra: bool = False,
 ) -> Placement | None:
     """A thing beside the road, or None where the road has no place for it."""
-    model = rules.model(asset)
+    model = library.model(asset)
     near_kerb = (
         not at_zebra and model.group != "building" and road.lane_section.low - 3.0 < t < road.lane_section.high + 3.0
     )

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import people, rules, traffic
@@ -68,7 +69,7 @@ def _traffic(
         waits = rng.random() < WAITS
         body, looks = traffic.draw_car(draws.recipe, "traffic", rng)
         if waits and way < 0 and count and _waits(junction, arm, body) and not (ego and ego[0][0] < road.zebras[0]):
-            vehicles.append((body, looks, junction.radius + WAIT_M + rules.model(body).length / 2))
+            vehicles.append((body, looks, junction.radius + WAIT_M + library.model(body).length / 2))
             count -= 1
         free = traffic.spans(road, road.zebras[0] + ZEBRA_HALF_M, high, ego)
         vehicles += traffic.flowing(draws.recipe, rng, free, count, least)
@@ -99,7 +100,7 @@ def _lane(junction: Roundabout, arm: int, way: int, speed_m_s: float) -> traffic
 
 def _waits(junction: Roundabout, arm: int, body: str) -> bool:
     """Whether a vehicle finds room between the circle and the zebra."""
-    return junction.radius + WAIT_M + rules.model(body).length < junction.arms[arm].zebras[0] - ZEBRA_HALF_M - 0.2
+    return junction.radius + WAIT_M + library.model(body).length < junction.arms[arm].zebras[0] - ZEBRA_HALF_M - 0.2
 
 
 def fits_ring(junction: Roundabout, p: Placement) -> bool:
@@ -124,7 +125,7 @@ def _ring(
     width, length = junction.radius - junction.inner, junction.ring.reference_line.length
     stretch = junction.inner / (junction.inner + width / 2)  # stations are counted along the inner edge
     cars = [traffic.draw_car(draws.recipe, "traffic", rng) for _ in range(draws.whole("traffic.ring"))]
-    lengths = [rules.model(body).length * 1.1 * stretch for body, _ in cars]
+    lengths = [library.model(body).length * 1.1 * stretch for body, _ in cars]
     places = list(traffic.queue(rng, (0.0, length - RING_LEAST_M), lengths, RING_LEAST_M * stretch))
     begin = float(rng.uniform(0.0, length))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.seeds import seed32
+from synfog_usd.world import library
 from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Distribution, Draws
 from synfog_usd.world.roads import actors, props, roundabout_actors, rules
@@ -134,7 +135,7 @@ def _island(draws: Draws, junction: Roundabout, occupied: rules.CollisionSet) ->
         size = min(1.0, 0.1 + junction.island / 12.0) * float(rng.uniform(0.55, 0.8))
         place = junction.stand(r * math.cos(a), r * math.sin(a))
         heading = rules.facing(float(rng.uniform(0, 360)))
-        placed.append(props.standing(asset, place, heading, props.look(rng, rules.model(asset)), round(size, 3)))
+        placed.append(props.standing(asset, place, heading, props.look(rng, library.model(asset)), round(size, 3)))
     return [p for p in placed if occupied.take(p, 0.3)]
 
 

@@ -15,9 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from synfog_usd.base import resources
 from synfog_usd.base.arrays import Array
-from synfog_usd.base.errors import RecipeError, did_you_mean
 from synfog_usd.world import library
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.spec import Placement, View
@@ -37,25 +35,6 @@ RAYS = ((-0.4, 0.5), (0.0, 0.5), (0.4, 0.5), (-0.4, 0.9), (0.0, 0.9), (0.4, 0.9)
 """Across the width and up the height of a thing, as shares of both."""
 
 
-@functools.cache
-def names() -> tuple[str, ...]:
-    """Models of the library."""
-    folders = (resources.folder("assets") / "models").iterdir()
-    return tuple(sorted(path.name for path in folders if (path / f"{path.name}.usda").exists()))
-
-
-@functools.cache
-def model(name: str) -> library.LibraryModel:
-    """A model by name.
-
-    Raises:
-        RecipeError: there is none; names the nearest.
-    """
-    if name not in names():
-        raise RecipeError(f"assets/models has no {name!r}.{did_you_mean(name, names())}")
-    return library.read(resources.folder("assets") / "models" / name / f"{name}.usda")
-
-
 def prim_group(kind: library.LibraryModel) -> str:
     """Name of the group prim that a model goes to."""
     return GROUPS.get(kind.group, "Furniture")
@@ -69,7 +48,7 @@ def facing(heading: float) -> float:
 @functools.cache
 def foot(name: str) -> tuple[float, float, float, float]:
     """Box that a model takes up on the ground in its own axes: low x, low y, high x, high y [m]."""
-    kind = model(name)
+    kind = library.model(name)
     half = FOOT_M.get(kind.group) if kind.length < LONG_M or kind.group in ("lamp", "sign") else None
     if _is_tree(kind):
         half = TRUNK_M
@@ -113,7 +92,7 @@ class CollisionSet:
 
     def free(self, p: Placement, margin: float = 0.1) -> bool:
         """Whether a placement keeps `margin` [m] from all others."""
-        kind = model(p.asset)
+        kind = library.model(p.asset)
         apart = self.trunks if kind.group == "lamp" else self.lamps if _is_tree(kind) else []
         if any(math.hypot(p.x - x, p.y - y) < LAMP_CLEAR_M for x, y in apart):
             return False
@@ -134,7 +113,7 @@ class CollisionSet:
     def add(self, p: Placement) -> None:
         """Take the place of a placement, whatever stands there."""
         self.add_outline(footprint(p))
-        kind = model(p.asset)
+        kind = library.model(p.asset)
         if kind.group == "lamp":
             self.lamps.append((p.x, p.y))
         elif _is_tree(kind):
@@ -167,7 +146,7 @@ class _Blocks:
     @classmethod
     def of(cls, placed: list[Placement], eye: Array) -> _Blocks:
         outlines = [footprint(p) for p in placed]
-        heights = [(p.z, p.z + model(p.asset).high[2] * p.size) for p in placed]
+        heights = [(p.z, p.z + library.model(p.asset).high[2] * p.size) for p in placed]
         middles = np.array([outline.mean(axis=0) - eye[:2] for outline in outlines]).reshape(-1, 2)
         radii = np.array([np.hypot(*(outline - outline.mean(axis=0)).T).max() for outline in outlines])
         return cls(placed, outlines, heights, middles, radii)
@@ -193,7 +172,7 @@ def visible_shares(
         distance = float(np.hypot(*away))
         if distance > within_m + 20:
             continue
-        kind = model(p.asset)
+        kind = library.model(p.asset)
         if kind.label in (*USERS, "building", "wall") or (kind.group == "furniture" and kind.width > 1.5):
             blocking.append(p)
         if kind.label in USERS and distance <= within_m:
@@ -206,7 +185,7 @@ def visible_shares(
 
 def _visible_share(p: Placement, eye: Array, blocks: _Blocks, road: Road) -> float:
     """Share of the rays from the eye to a road user that nothing blocks."""
-    user = model(p.asset)
+    user = library.model(p.asset)
     away = np.array([p.x - eye[0], p.y - eye[1]])
     distance = float(np.hypot(*away))
     across = np.array([-away[1], away[0]]) / distance
@@ -219,7 +198,7 @@ def _visible_share(p: Placement, eye: Array, blocks: _Blocks, road: Road) -> flo
     near = np.abs(blocks.middles @ np.array([-sight[1], sight[0]])) < blocks.radii + half + 0.1
     for index in np.flatnonzero(near & (blocks.middles @ sight < distance + blocks.radii)):
         block = blocks.placed[index]
-        if block is p or {user.label, model(block.asset).label} == {"rider", "bicycle"}:
+        if block is p or {user.label, library.model(block.asset).label} == {"rider", "bicycle"}:
             continue
         clear &= ~_blocked(eye, ends, blocks.outlines[index], *blocks.heights[index])
         if not clear.any():

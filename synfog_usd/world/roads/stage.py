@@ -20,13 +20,12 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
 from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
-from synfog_usd.world.library import nominal
+from synfog_usd.world.library import model, nominal
 from synfog_usd.world.materials import PALETTE, Material
 from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
-from synfog_usd.world.roads.rules import model
 from synfog_usd.world.roads.structures import Built, LitPanes
 from synfog_usd.world.shapes import Part, by_material, quads, shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec

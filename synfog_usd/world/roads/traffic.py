@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws, Recipe
 from synfog_usd.world.library import LibraryModel
 from synfog_usd.world.roads import rules
@@ -43,7 +44,7 @@ def draw_car(
 ) -> tuple[str, dict[str, str]]:
     """A vehicle and its paint, of what a section of the recipe chooses among."""
     body = recipe.distributions[f"{section}.bodies"].word(rng, among)
-    paints = rules.model(body).variants.get("paint", ())
+    paints = library.model(body).variants.get("paint", ())
     paint = recipe.distributions[f"{section}.paints"].word(rng, paints) if paints else ""
     return body, ({"paint": paint} if paint else {})
 
@@ -132,7 +133,7 @@ def flowing(
     share = rng.choice(len(free), count, p=long / long.sum())
     for number, span in enumerate(free):
         cars = [draw_car(recipe, "traffic", rng, among) for _ in range(int((share == number).sum()))]
-        places = queue(rng, span, [rules.model(body).length for body, _ in cars], least)
+        places = queue(rng, span, [library.model(body).length for body, _ in cars], least)
         for (body, looks), s in zip(cars, places, strict=False):
             yield body, looks, s
 
@@ -176,7 +177,7 @@ def fill(lane: TrafficLane, vehicles: Iterable[Vehicle], rng: np.random.Generato
     """Those vehicles that find room in a lane, lamps glowing or braking."""
     placed: list[Placement] = []
     for body, looks, s in vehicles:
-        model = rules.model(body)
+        model = library.model(body)
         for aside in lane.across(rng, model):
             x, y, z, heading, pitch = lane.pose(s, aside)
             lit = "brake" if lane.brakes(rng, s) and "brake" in model.variants.get("lamps", ()) else "glow"
@@ -192,7 +193,7 @@ def cyclist(
     rng: np.random.Generator, place: Callable[[np.random.Generator], Pose | None], room: rules.Room
 ) -> list[Placement]:
     """One cyclist at the first place that has room; `place` draws one, or None where that is none."""
-    looks = look(rng, rules.model("cyclist"))
+    looks = look(rng, library.model("cyclist"))
     for _ in range(CYCLIST_TRIES):
         pose = place(rng)
         if pose is None:
@@ -243,7 +244,7 @@ def park(
         aside = float(np.clip(rng.normal(0, care.across), -care.most, care.most))
         along = float(rng.uniform(-care.along, care.along))
         nose_in = rng.random() < 0.7
-        pose = bay.pose(along, aside) if there and rules.model(body).length <= bay.room_m else None
+        pose = bay.pose(along, aside) if there and library.model(body).length <= bay.room_m else None
         if pose is None:
             continue
         x, y, z, heading, pitch = pose

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from synfog_usd.world import library
 from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.network import Road
@@ -81,7 +82,7 @@ def site(
             at, t = works.s + (0.2 + 0.3 * int(place)) * length, (low + high) / 2 + side * 0.35
             x, y, z, heading, _ = road.pose(at, t)
             turn = rules.facing(heading + float(rng.uniform(0, 360)))
-            workers.append(Placement("People", "", "worker", x, y, turn, look(rng, rules.model("worker")), z=z))
+            workers.append(Placement("People", "", "worker", x, y, turn, look(rng, library.model("worker")), z=z))
         occupied.add_outline(corners)
         return works, workers
     return None, []

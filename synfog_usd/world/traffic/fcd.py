@@ -19,6 +19,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.files import write_bytes
 from synfog_usd.base.seeds import stream
+from synfog_usd.world import library
 from synfog_usd.world.parameters import CAR
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.props import look
@@ -176,7 +177,7 @@ def driven(spec: WorldSpec, clip: Clip, recorded: list[Recorded], seed: int) -> 
             continue
         p = _model(mover, stream(seed, "traffic", "fcd", mover.name))
         track = _track(spec, mover, t, 0.0 if mover.person else rules.foot(p.asset)[3], z_of=0.0)
-        if rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
+        if library.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
             track = replace(track, roll=track.roll * 0.0)
         x, y, z, heading, pitch, roll = (
             round(float(getattr(track, k)[1]), 4) for k in ("x", "y", "z", "heading", "pitch", "roll")
@@ -199,7 +200,7 @@ def _model(mover: Recorded, rng: np.random.Generator) -> Placement:
     else:
         models = next((models for part, models in KINDS.items() if part in mover.type.lower()), tuple(CAR))
     asset = models[int(rng.integers(len(models)))]
-    model = rules.model(asset)
+    model = library.model(asset)
     lit = {"lamps": "glow"} if "glow" in model.variants.get("lamps", ()) else {}
     group = "People" if mover.person else "Vehicles"
     return Placement(group, "", asset, 0.0, 0.0, 0.0, look(rng, model), lit, speed_m_s=None if mover.person else 0.0)
@@ -207,7 +208,7 @@ def _model(mover: Recorded, rng: np.random.Generator) -> Placement:
 
 def _drives(name: str) -> bool:
     """Whether it is a model of a vehicle that needs no rider."""
-    return name in rules.names() and rules.model(name).group == "vehicle" and rules.model(name).label != "bicycle"
+    return name in library.names() and library.model(name).group == "vehicle" and library.model(name).label != "bicycle"
 
 
 def _ego(spec: WorldSpec, mover: Recorded, t: Array) -> Track:

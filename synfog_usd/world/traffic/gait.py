@@ -64,6 +64,11 @@ class Style:
     lift: float
     rise: float
 
+    @functools.cached_property
+    def pitches(self) -> interpolate.PchipInterpolator:
+        """Angle of the foot by the share of the stride [degrees]."""
+        return interpolate.PchipInterpolator(*np.array(self.pitch).T)
+
 
 WALKS = Style(0.6, 0.235, ((0.0, 16), (0.09, 0), (0.36, 0), (0.6, -50), (0.74, -30), (0.9, 10), (1.0, 16)), 0.05, 0.05)
 RUNS = Style(0.36, 0.13, ((0.0, 6), (0.05, 0), (0.17, 0), (0.36, -46), (0.55, -70), (0.85, 0), (1.0, 6)), 0.16, -0.03)
@@ -252,7 +257,7 @@ class _Stride:
         first = style.under * self.length - leg.heel[0]
         w = np.clip((u - style.stands) / (1.0 - style.stands), 0.0, 1.0)
         swung = self.length * (3.0 - 2.0 * w) * w * w  # over the ground, at rest at both ends
-        pitch = np.radians(interpolate.pchip_interpolate(*np.array(style.pitch).T, u))
+        pitch = np.radians(style.pitches(u))
         return first - self.length * u + swung, pitch, style.lift * self.leg * np.sin(math.pi * w) ** 2
 
     def hip(self, phase: Array, leg: Leg) -> Array:

@@ -16,6 +16,7 @@ import shapely
 from synfog_usd.base.arrays import Array, Flags, Indices
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.base.seeds import stream
+from synfog_usd.world import library
 from synfog_usd.world.roads import rules
 from synfog_usd.world.roads.props import look
 from synfog_usd.world.roads.stage import KINDS
@@ -227,7 +228,7 @@ def _vehicles(spec: WorldSpec, ways: Sequence[Route], pace: Pace) -> tuple[list[
     who = [-1]
     ridden = {bicycle for _, bicycle in _ridden(spec)}
     for index, p in enumerate(spec.placed):
-        model = rules.model(p.asset)
+        model = library.model(p.asset)
         if p.group != "Vehicles" or (model.label == "bicycle" and index not in ridden):
             continue
         rng = stream(pace.seed, "traffic", "route", p.name)
@@ -321,7 +322,7 @@ def _incoming(
             continue
         rng, at = stream(pace.seed, "traffic", "incoming", entry), 0.0
         while (at := at + float(rng.exponential(1.0 / per_s))) < seconds and len(coming) < MOST_INCOMING:
-            model = rules.model(models[int(rng.integers(len(models)))])
+            model = library.model(models[int(rng.integers(len(models)))])
             heavy = model.label in ("truck", "bus")
             v = pace.speed_m_s * (
                 float(rng.uniform(*(HEAVY if heavy else LIGHT))) if _reached(ways[numbers[0]]) else 1.0
@@ -402,7 +403,7 @@ def _driven(spec: WorldSpec, street: Street, run: Run, number: int, t: Array, in
     else:
         p = spec.placed[index]
         first = p.x, p.y, p.z, p.heading, p.pitch, p.roll
-        if rules.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
+        if library.model(p.asset).label in ("rider", "bicycle", "motorcycle"):
             roll = roll * 0.0
     x, y, z, heading, pitch, roll = (
         column + (initial - column[1]) for column, initial in zip((x, y, z, heading, pitch, roll), first, strict=True)

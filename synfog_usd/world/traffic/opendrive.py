@@ -1,7 +1,6 @@
 """Drawn roads and junctions as OpenDRIVE 1.8: what a road, a crossing and a roundabout are in its terms.
 
-Takes the record of a road or junction; writes a file.  The crossfall is left out.  Knows nothing of
-USD.
+Takes the record of a road or junction; writes a file.  Knows nothing of USD.
 """
 
 from __future__ import annotations
@@ -86,9 +85,8 @@ def _of_road(road: Road) -> Network:
         low, high = zebra_span(road)
         zebras.append((s, 2.0 * ZEBRA_HALF_M, high - low))
     offset = [(0.0, -axis, 0.0, 0.0, 0.0)] if axis else []
-    return Network(
-        [OpenRoad(1, "road", _pieces(line), strips, _heights(line), offset, CENTRE[road.centre], zebras=zebras)]
-    )
+    drawn = OpenRoad(1, "road", _pieces(line), strips, _heights(line), offset, CENTRE[road.centre], zebras=zebras)
+    return Network([replace(drawn, shape=_crossfall(road))])
 
 
 def _axis(lanes: Sequence[Lane]) -> float:
@@ -119,6 +117,15 @@ def _heights(line: ReferenceLine) -> list[Cubic]:
         for (s, slope), (end, then) in zip(knots, [*knots[1:], (line.length, last)], strict=True)
         if end - s > LEAST_M
     ]
+
+
+def _crossfall(road: Road) -> list[Cubic]:
+    """Straight lines between the edges, gutters and crown of a road, from its right edge to the left."""
+    section = road.lane_section
+    t = np.unique([-section.low, -section.high, *(-offset for offset in section.falling)])
+    heights = road.over_line(-t)
+    rows = zip(t[:-1], heights[:-1], np.diff(heights) / np.diff(t), strict=True)
+    return [(float(at), float(height), float(slope), 0.0, 0.0) for at, height, slope in rows] if road.crossfall else []
 
 
 # -- junctions

@@ -12,10 +12,9 @@ from typing import TypeVar
 from pxr import Gf, Sdf, Usd, UsdShade, Vt
 
 from synfog_usd.base.arrays import Array, Flags
-from synfog_usd.world import authoring
+from synfog_usd.world import authoring, library
 from synfog_usd.world.components import author_mesh
 from synfog_usd.world.lamps import tint
-from synfog_usd.world.roads import rules
 from synfog_usd.world.shapes import Part
 from synfog_usd.world.spec import Placement
 
@@ -60,7 +59,7 @@ def geometry(p: Placement) -> tuple[Path, str]:
     """The layer of meshes that a placement shows, and where parts of them stand in the stage."""
     individual = p.variants.get("individual", "a")
     names = [p.asset] + [individual] * (individual != "a") + ["low"] * (p.variants.get("lod") == "low")
-    path = rules.model(p.asset).path.with_name(f"{'.'.join(names)}.geo.usdc")
+    path = library.model(p.asset).path.with_name(f"{'.'.join(names)}.geo.usdc")
     return path, f"/World/{p.group}/{PARTS}/{'_'.join(names)}"
 
 
@@ -103,7 +102,7 @@ def author_emission(
 
 def emissions(asset: str, choice: str) -> Mapping[str, Gf.Vec3f]:
     """Emission of a model's materials by a choice of its lamps; empty where it has no such choice."""
-    layer = Sdf.Layer.FindOrOpen(str(rules.model(asset).path))
+    layer = Sdf.Layer.FindOrOpen(str(library.model(asset).path))
     materials = layer.GetPrimAtPath(
         Sdf.Path(f"/{layer.defaultPrim}").AppendVariantSelection("lamps", choice).AppendPath("Materials")
     )

@@ -6,10 +6,11 @@ Source of the gradients: Milliken, Race Car Vehicle Dynamics (1995), chapters 16
 
 from __future__ import annotations
 
+import cmath
+import itertools
 import math
 
 import numpy as np
-from scipy import signal
 
 from synfog_usd.base.arrays import Array
 
@@ -29,10 +30,14 @@ def lean(t: Array, along: Array, across: Array) -> tuple[Array, Array]:
     Returns:
         (K,) each: nose up, and right side down.
     """
-    w = 2.0 * math.pi * FREQUENCY_HZ
-    body = signal.TransferFunction([w * w], [1.0, 2.0 * DAMPING * w, w * w])
-    pitch, roll = (
-        np.asarray(signal.lsim(body, gain * a, t)[1], dtype=np.float64)
-        for gain, a in ((PITCH_DEG, along), (ROLL_DEG, across))
-    )
-    return pitch, roll
+    w, dt = 2.0 * math.pi * FREQUENCY_HZ, float(t[1] - t[0])
+    mode = w * complex(-DAMPING, math.sqrt(1.0 - DAMPING**2))  # the angle is the imaginary part of w^2 / Im(mode) times
+    decay = cmath.exp(mode * dt)  # the integral of a(s) exp(mode (t - s)), with a on straight lines between times
+    level = (decay - 1.0) / mode
+    rise = (level - dt) / (mode * dt)
+    angles = []
+    for gain, a in ((PITCH_DEG, along), (ROLL_DEG, across)):
+        added = (level * a[:-1] + rise * np.diff(a)).tolist()
+        swings = itertools.accumulate(added, lambda swing, more: decay * swing + more, initial=0j)
+        angles.append(gain * w * w / mode.imag * np.array(list(swings)).imag)
+    return angles[0], angles[1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pxr import Gf, Sdf
 
 from synfog_usd.base.arrays import Array, Flags
-from synfog_usd.world.roads import rules
+from synfog_usd.world import library
 from synfog_usd.world.spec import Placement
 from synfog_usd.world.traffic.samples import DARK, KINDS, amber, attribute, author_emission, emissions, sample
 
@@ -56,6 +56,6 @@ def author_signal(layer: Sdf.Layer, p: Placement, lenses: Mapping[str, Flags], c
 
 def _lens(asset: str, material: str) -> Lens:
     """The look of a model's material."""
-    layer = Sdf.Layer.FindOrOpen(str(rules.model(asset).path.with_suffix(".mtl.usda")))
+    layer = Sdf.Layer.FindOrOpen(str(library.model(asset).path.with_suffix(".mtl.usda")))
     surface = layer.GetPrimAtPath(f"/{layer.defaultPrim}/Materials/{material}/Surface")
     return Lens(surface.attributes["inputs:diffuseColor"].default, surface.attributes["inputs:roughness"].default)

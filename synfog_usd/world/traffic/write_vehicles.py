@@ -8,9 +8,9 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.world import library
 from synfog_usd.world.components import author_mesh
 from synfog_usd.world.lamps import LAMPS
-from synfog_usd.world.roads import rules
 from synfog_usd.world.shapes import shift
 from synfog_usd.world.spec import Placement
 from synfog_usd.world.traffic.cutting import read_part
@@ -101,7 +101,7 @@ def _author_parts(layer: Sdf.Layer, path: str, asset: str, wheels: Wheels, meshe
                 part.moved(shift(*(-v for v in wheel.axle))),
                 f"{path}/Materials/{name}",
             )
-    model = Sdf.Layer.FindOrOpen(str(rules.model(asset).path))
+    model = Sdf.Layer.FindOrOpen(str(library.model(asset).path))
     label = model.GetAttributeAtPath(f"/{asset}/Geometry/tyre.{LABEL}")
     for prim in (scratch.GetPrimAtPath(f"{path}/{name}") for name in ("Wheels", "Cranks")):
         if label and prim:  # a model with its rider has labels by material
@@ -154,7 +154,7 @@ def _author_indicators(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track
     if not layer.GetPrimAtPath(parts):
         scratch = begin(parts)
         scratch.OverridePrim(f"{parts}/Geometry/{INDICATORS}").SetActive(False)
-        looks = Sdf.Layer.FindOrOpen(str(rules.model(p.asset).path.with_suffix(".mtl.usda")))
+        looks = Sdf.Layer.FindOrOpen(str(library.model(p.asset).path.with_suffix(".mtl.usda")))
         for side, half in sides.items():
             material = scratch.OverridePrim(f"{parts}/Materials/{INDICATORS}_{side}").GetPath()
             Sdf.CopySpec(looks, f"/{looks.defaultPrim}/Materials/{INDICATORS}", scratch.GetRootLayer(), material)

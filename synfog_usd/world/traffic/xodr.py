@@ -107,6 +107,7 @@ class OpenRoad:
         junction: number of the junction that it is a way through, or -1.
         ends: what is before and after it: ('road' or 'junction', number, 'start', 'end' or '').
         zebras: (station, length along the road, width across) of crosswalks [m].
+        shape: heights of the surface over the line, by t instead of s [m].
     """
 
     number: int
@@ -119,6 +120,7 @@ class OpenRoad:
     junction: int = -1
     ends: tuple[tuple[str, int, str] | None, tuple[str, int, str] | None] = (None, None)
     zebras: Sequence[tuple[float, float, float]] = ()
+    shape: Sequence[Cubic] = ()
 
     @property
     def length(self) -> float:
@@ -177,9 +179,9 @@ def _put(parent: ElementTree.Element, tag: str, **values: str | float) -> Elemen
     return ElementTree.SubElement(parent, tag, texts)
 
 
-def _cubics(parent: ElementTree.Element, tag: str, rows: Sequence[Cubic], s: str = "s") -> None:
+def _cubics(parent: ElementTree.Element, tag: str, rows: Sequence[Cubic], at: str = "s", **more: float) -> None:
     for row in rows:
-        _put(parent, tag, **dict(zip((s, "a", "b", "c", "d"), row, strict=True)))
+        _put(parent, tag, **more, **dict(zip((at, "a", "b", "c", "d"), row, strict=True)))
 
 
 def _write_road(root: ElementTree.Element, road: OpenRoad) -> None:
@@ -202,6 +204,8 @@ def _write_road(root: ElementTree.Element, road: OpenRoad) -> None:
             _put(geometry, "line")
         s += piece.length
     _cubics(_put(element, "elevationProfile"), "elevation", road.elevation)
+    if road.shape:
+        _cubics(_put(element, "lateralProfile"), "shape", road.shape, "t", s=0.0)
     lanes = _put(element, "lanes")
     _cubics(lanes, "laneOffset", road.offset)
     section = _put(lanes, "laneSection", s=0.0)
