@@ -34,8 +34,8 @@ HEAVY = {
     "MaterialX": {"stage/materialx.py"},
     "mitsuba": {"render"},
     "drjit": {"render"},
-    "OpenImageIO": {"camera", "camera/writers", "translate/texture.py", "world"},
-    "matplotlib": set(),
+    "OpenImageIO": {"camera", "camera/writers", "lab/study", "translate/texture.py", "world"},
+    "matplotlib": {"lab/study"},
     "pyoidn": {"render"},
     "tifffile": {"camera/writers"},
     "imagecodecs": {"camera/writers"},
@@ -107,7 +107,7 @@ def test_no_two_classes_have_one_name():
 HELP = """
 import sys
 from synfog_usd.cli.main import main
-for arguments in ["--help"], ["bake", "--help"], ["preview", "--help"], ["compose", "--help"], ["graph", "--help"], ["dataset", "--help"], ["--version"]:
+for arguments in ["--help"], ["bake", "--help"], ["chart", "--help"], ["compose", "--help"], ["graph", "--help"], ["dataset", "--help"], ["--version"]:
     try:
         main(arguments)
     except SystemExit as end:

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from docs.studies import drawing
 from docs.studies.sensor_bench import photon_transfer, readings, transfer
 from synfog_usd import camera
 from synfog_usd.base import files, photometry, resources, seeds
@@ -26,6 +25,7 @@ from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, load_sensor, shipped
+from synfog_usd.lab.study import drawing
 
 # ---- noise and fog ---------------------------------------------------------------------
 

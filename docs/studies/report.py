@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from docs.studies import verdicts
-from docs.studies.chart import write_suite
-from docs.studies.points import TARGETS, Point, read, summary
 from synfog_usd.base import files
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
+from synfog_usd.lab.study import verdicts
+from synfog_usd.lab.study.chart import write_suite
+from synfog_usd.lab.study.points import TARGETS, Point, read, summary
 
 SHOWN = (TARGETS[1], TARGETS[3])
 """Targets that have a table on the page: 3 % total error, and 1 % mottle."""
@@ -34,7 +34,7 @@ def report(out: Path, document: Path) -> None:
     """
     found = sorted(out.glob("*/chart.csv"))
     if not found:
-        raise ParameterError(f"{out}: no <stage>/chart.csv in it; make it with python -m docs.studies.chart -o {out}")
+        raise ParameterError(f"{out}: no <stage>/chart.csv in it; make it with synfog-usd chart --suite -o {out}")
     before, begin, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):

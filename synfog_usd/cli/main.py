@@ -14,7 +14,7 @@ import typer
 
 from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
-from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.errors import ParameterError, SynfogError
 from synfog_usd.cli import dataset, options, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -137,6 +137,106 @@ def check(
     else:
         print(verb.as_text(stage, findings, notes, light))
     raise typer.Exit(code)
+
+
+@dataclass(kw_only=True)
+class ChartWords:
+    """Options of `chart`."""
+
+    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for chart.csv, .svg, .png and notes.txt.",
+            show_default=False,
+        ),
+    ] = None
+    suite: Annotated[
+        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with suite.png and summary.csv.")
+    ] = False
+    fog: Annotated[
+        str | None,
+        typer.Option(help="One fog: a variant of the stage, clear, mor150, rain10; as the stage has it if left out."),
+    ] = None
+    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None
+    camera: options.Camera = None
+    resolution: options.Resolution = "160x90"
+    samples: Annotated[
+        str | None,
+        typer.Option(help="Paths per pixel to try, comma-separated; 8,32,128,512 and for peers 8,32,128 if left out."),
+    ] = None
+    models: Annotated[
+        str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")
+    ] = None
+    depth: Annotated[
+        str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")
+    ] = "4"
+    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none"
+    quality: Annotated[
+        str, typer.Option(help="Words of bake's --quality to show beside the models, comma-separated, or none.")
+    ] = ",".join(numbers.QUALITIES)
+    reference: Annotated[
+        int | None, typer.Option(help="Paths per pixel of the reference; by the sweep and the time limit if left out.")
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            help=(
+                "Seconds of rendering a stage, a model's first point not counted; 90 if left out, or none where "
+                "--samples is given."
+            )
+        ),
+    ] = None
+    target: Annotated[float, typer.Option(help="Total error; the fewest samples of auto that reach it are ringed.")] = (
+        0.03
+    )
+    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0
+    variant: options.Variant = "auto"
+    gpu: options.Gpu = None
+    allow: options.Allow = None
+    quiet: options.Quiet = False
+
+
+@app.command()
+@options.spread
+def chart(words: ChartWords) -> None:
+    """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE, or
+    on every stage of a folder.
+    """
+    from synfog_usd.base.resources import folder
+
+    if words.suite == (words.stage is not None):
+        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
+    if words.out is None:
+        raise ParameterError("chart: needs --out FOLDER")
+    stage = words.stage or folder("stages") / "bench"
+    plan = dict(
+        stage=stage,
+        out=words.out,
+        fog=words.fog,
+        lighting=words.lighting,
+        camera=words.camera,
+        size=numbers.size_of(words.resolution),
+        samples=numbers.counts_of(words.samples, "--samples") if words.samples is not None else None,
+        models=numbers.names_of(words.models, "--models"),
+        depth=() if words.depth == "none" else numbers.counts_of(words.depth, "--depth"),
+        bands=() if words.bands == "none" else numbers.counts_of(words.bands, "--bands"),
+        quality=() if words.quality == "none" else numbers.names_of(words.quality, "--quality"),
+        reference_samples=words.reference,
+        time_limit=words.time_limit,
+        target=words.target,
+        seed=words.seed,
+        variant=options.device(words.variant, words.gpu),
+        allow=tuple(words.allow or ()),
+    )
+    if not worker.is_worker():
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
+    worker.follow_parent()
+    from synfog_usd.cli import chart as verb
+
+    verb.run(plan, quiet=words.quiet)
 
 
 @dataclass(kw_only=True)

@@ -7,8 +7,8 @@ import pytest
 from support import cli
 from support.stages import street
 
-from docs.studies.accuracy import combine, compare, mottle
 from synfog_usd.base.seeds import stream
+from synfog_usd.lab.study.accuracy import combine, compare, mottle
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]
@@ -124,7 +124,7 @@ def test_clouds_of_white_noise_are_what_its_blur_leaves():
 
 
 def run(*arguments):
-    return cli.study("chart", *arguments)
+    return cli.run("chart", *arguments)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ quality, three times with different seeds.  The reference has many more samples,
 random streams.  Leaves `chart.csv`, `chart.svg`, `chart.png` and
 `notes.txt`, which says what does not hold.  Time is what this study
 measures, so its files differ from run to run; the pictures behind them do not.
-From a shell: `python -m docs.studies.chart STAGE -o OUT`.
 """
 
 from __future__ import annotations
@@ -18,22 +17,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import typer
 
-from docs.studies import accuracy, command, verdicts
-from docs.studies.accuracy import Reference
-from docs.studies.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, summary, table
-from synfog_usd.base import files, numbers, resources
+from synfog_usd.base import files
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES, check_quality
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.seeds import seed32
-from synfog_usd.cli.progress import shown
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
+from synfog_usd.lab.study import accuracy
+from synfog_usd.lab.study.accuracy import Reference
+from synfog_usd.lab.study.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, summary, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
@@ -341,7 +338,7 @@ def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
 
 def write_suite(points: Mapping[str, Sequence[Point]], out: Path) -> None:
     """The table and the drawings over several charts."""
-    from docs.studies import drawing
+    from synfog_usd.lab.study import drawing
 
     rows = [row for name, line in points.items() for row in summary(name, line)]
     files.write_bytes(out / "summary.csv", table(rows).encode())
@@ -537,7 +534,7 @@ def _points(
 
 
 def _write(result: Chart, out: Path) -> None:
-    from docs.studies import drawing
+    from synfog_usd.lab.study import drawing
 
     svg, png = drawing.draw_chart(result.points, title=result.title)
     notes = "".join(f"{note}\n" for note in result.notes)
@@ -566,86 +563,3 @@ def _scene(plan: ChartPlan) -> tuple[SceneDict, str]:
     named = ", ".join(name for name in (shot.lighting, shot.fog) if name != AS_AUTHORED)
     scene = translate(stage, camera=plan.camera, resolution=plan.size, fog=shot.fog_override)
     return scene, named or "as authored"
-
-
-def main(
-    out: command.Out,
-    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder; stages/bench if left out.")] = None,
-    fog: Annotated[str | None, typer.Option(help="A variant of the stage, clear, mor150, rain10.")] = None,
-    lighting: Annotated[str | None, typer.Option(help="One lighting; as the stage has it if left out.")] = None,
-    camera: Annotated[str | None, typer.Option(help="Camera's prim path.")] = None,
-    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "160x90",
-    samples: Annotated[str | None, typer.Option(help="Paths per pixel to try, comma-separated.")] = None,
-    models: Annotated[str | None, typer.Option(help="Models, comma-separated; all that hold if left out.")] = None,
-    depth: Annotated[str, typer.Option(help="Numbers of scatterings at which path is cut, or none.")] = "4",
-    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, or none.")] = "none",
-    quality: Annotated[str, typer.Option(help="Words of bake's --quality, or none.")] = ",".join(QUALITIES),
-    reference: Annotated[int | None, typer.Option(help="Paths per pixel of the reference.")] = None,
-    time_limit: Annotated[float | None, typer.Option(help="Seconds of rendering a stage.")] = None,
-    target: Annotated[float, typer.Option(help="Total error; the fewest samples that reach it are ringed.")] = 0.03,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same errors; seconds differ.")] = 0,
-    variant: Annotated[str, typer.Option(help="Mitsuba backend, as llvm or cuda.")] = "auto",
-) -> None:
-    """Chart seconds against error and mottle of every model and quality, on one shot or on every stage of a folder."""
-    plan = ChartPlan(
-        stage=stage or resources.folder("stages") / "bench",
-        out=out,
-        fog=fog,
-        lighting=lighting,
-        camera=camera,
-        size=numbers.size_of(resolution),
-        samples=numbers.counts_of(samples, "--samples") if samples is not None else None,
-        models=numbers.names_of(models, "--models"),
-        depth=() if depth == "none" else numbers.counts_of(depth, "--depth"),
-        bands=() if bands == "none" else numbers.counts_of(bands, "--bands"),
-        quality=() if quality == "none" else numbers.names_of(quality, "--quality") or (),
-        reference_samples=reference,
-        time_limit=time_limit,
-        target=target,
-        seed=seed,
-        variant=variant,
-    )
-    with shown(quiet=False) as (progress, _):
-        many = plan.stage.is_dir()
-        charts = suite(plan, progress=progress) if many else {plan.stage.stem: chart(plan, progress=progress)}
-    for name, each in charts.items():
-        for note in each.notes:
-            print(f"{name}: {note}")
-        if not many:
-            _print_points(each)
-        for line in verdicts.verdicts(name, each.points):
-            print(f"{name}: {line}")
-    print(f"look at {out / ('suite.png' if many else 'chart.png')}")
-
-
-def _print_points(chart: Chart) -> None:
-    points = chart.points
-    first, width = points[0], max(len(point.line) for point in points) + 1
-    head: Sequence[str] = (
-        "samples",
-        "seconds",
-        "total",
-        "noise",
-        "bias",
-        "95th pct.",
-        "FLIP",
-        "mean bias",
-        "std. err.",
-    )
-    print(f"{'model':<{width}}" + "".join(f"{name:>11}" for name in head))
-    for point in points:
-        bias = f"{point.bias_rms:.2%}" if point.bias_is_seen else f"< {point.bias_limit:.2%}"
-        print(
-            f"{point.line:<{width}}{point.samples:>11}{point.seconds:>9.2f} "
-            f"s{point.relative_rms:>11.2%}{point.noise_rms:>11.2%}{bias:>11}"
-            f"{point.p95:>11.2%}{point.flip:>11.4f}{point.bias:>+11.3%}{point.bias_error:>11.3%}"
-            + (" <- enough" if point.enough else "")
-        )
-    print(
-        f"reference: {first.reference_model}, {first.reference_samples} samples, itself known to "
-        f"{first.reference_rms:.2%}; {first.variant}, {first.machine}"
-    )
-
-
-if __name__ == "__main__":
-    command.run(main)

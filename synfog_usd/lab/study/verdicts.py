@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from docs.studies.points import Point, summary
+from synfog_usd.lab.study.points import Point, summary
 
 
 def verdicts(stage: str, points: Sequence[Point]) -> list[str]:
