@@ -6,8 +6,10 @@ Imports nothing heavy.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from synfog_usd.base.errors import ParameterError, did_you_mean
@@ -317,6 +319,23 @@ def check_shutter(seconds: float | None) -> None:
     """
     if seconds is not None and not 0.0 < seconds <= 60.0:
         raise ParameterError(f"--shutter {seconds:g}: it takes seconds above 0, and 60 at most")
+
+
+def check_frames(codes: Sequence[float]) -> None:
+    """Refuse time codes that are no video.
+
+    Raises:
+        ParameterError: none, one that is no finite number, or steps that differ.
+
+    >>> check_frames((2.0, 1.0, 0.0))
+    """
+    if not codes or not all(math.isfinite(code) for code in codes):
+        raise ParameterError(f"--frames: {len(codes)} time codes, of which a clip takes one at least, all finite")
+    steps = [after - before for before, after in itertools.pairwise(codes)]
+    if steps and (0.0 in steps or max(steps) - min(steps) > 1e-6 * abs(steps[0])):
+        raise ParameterError(
+            f"--frames: steps from {min(steps):g} to {max(steps):g}; a clip has even ones, as FIRST:LASTxSTEP"
+        )
 
 
 def check_frame(frame: float | None) -> None:

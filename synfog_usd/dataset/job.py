@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.values import names, number
@@ -63,6 +64,7 @@ def job_of(
     codes = None
     if frames is not None:
         codes = frame_codes(frames) if isinstance(frames, str) else tuple(number(code, "--frames") for code in frames)
+        numbers.check_frames(codes)
         if asked.get("frame") is not None:
             raise ParameterError("frame and frames: either one time code or several; leave one out")
         if isinstance(frames, str) and ":" not in frames:

@@ -39,12 +39,14 @@ class ClipFrame:
         per_s: frames a second.
         adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows without delay.
         before: lighting -> (exposure time [s], ISO) of the frame before; empty for the first.
+        kept: folder of a shot -> rounds of samples of the frame before, see `Settings.kept`; empty for the first.
     """
 
     number: int
     per_s: float
     adaptation_s: float
     before: Mapping[str, tuple[float, float]]
+    kept: Mapping[str, Sequence[Mapping[str, int]]]
 
 
 def frame_codes(text: str) -> tuple[float, ...]:

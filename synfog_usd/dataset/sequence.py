@@ -11,7 +11,6 @@ import contextlib
 import itertools
 import json
 import math
-import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +20,11 @@ from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError, StageError
 from synfog_usd.base.progress import Progress, named, silent, within
 from synfog_usd.base.seeds import frame_seed
-from synfog_usd.dataset import flow
+from synfog_usd.dataset import flow, price
 from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import EARLIER
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
-from synfog_usd.dataset.session import begin, one_camera
+from synfog_usd.dataset.session import Reading, Session, begin, one_camera
 
 SEQUENCE = "sequence.json"
 CAMERA = "camera.json"
@@ -58,48 +57,94 @@ def bake_sequence(
     Raises:
         SynfogError: with place and fix; finished frames stay.
     """
-    names = None if plan.camera is None else [plan.camera]
-    session = begin(replace(plan, frame=codes[0]), names, reading)
+    session = begin(replace(plan, frame=codes[0]), None if plan.camera is None else [plan.camera], reading)
     plan = replace(plan, camera=one_camera(session))
     with reading():
         rate, warnings, lightings = _read(session.stage, plan, codes)
     for text in warnings:
         log(f"warning: {plan.stage}: {text}")
-    step = abs(codes[1] - codes[0]) if len(codes) > 1 else 1.0
-    per_s = rate / step
-    before: dict[str, tuple[float, float]] = {}
-    rows: list[dict[str, Any]] = []
-    bakes: list[Baked] = []
-    frame_log = _FrameLog(log, tuple(f"{name}: " for name in (str(plan.stage), *lightings)))
+    per_s = rate / abs(codes[1] - codes[0]) if len(codes) > 1 else rate
+    once = _FrameLog(log, tuple(f"{name}: " for name in (str(plan.stage), *lightings)))
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        for number, code in enumerate(codes):
-            folder, seed = f"{number:06d}", frame_seed(plan.seed, code)
-            clip = ClipFrame(number, per_s, adaptation_s, dict(before))
-            part = named(
-                within(progress, number / len(codes), (number + 1) / len(codes)), f"frame {number + 1} of {len(codes)}"
-            )
-            frame_log.code = code
-            frame = replace(plan, frame=code, seed=seed, sampling_seed=plan.seed, out=plan.out / folder, clip=clip)
-            session = session.at(frame)
-            baked = bake(frame, progress=part, log=frame_log, reading=reading, session=session)
-            bakes.append(baked)
-            _tell_price(plan.out, bakes, len(codes), log)
-            exposures = _exposures(baked.manifest)
-            before |= exposures
-            rows.append({"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures})
-        earlier = _clip_files(plan.out)
-        manifest = {"schema": "synfog-usd/sequence", "version": 1, "stage": plan.stage.name, "frames_per_s": per_s}
-        manifest |= {"sampling_seed": plan.seed, "adaptation_s": adaptation_s, "warnings": warnings, "frames": rows}
-        manifest["clips"] = _gather(plan.out, rows, bakes[0].manifest, per_s, log)
-        for row in rows:
-            _write_camera(plan.out / row["folder"], row, per_s)
-        flow.write(plan.out, [row["folder"] for row in rows], per_s, log)
-        files.write_json(plan.out / SEQUENCE, manifest)
-        if moved := _set_aside(plan.out, earlier - _clip_files(plan.out)):
-            log(f"{plan.out}: {moved}")
+        frames = _Frames(session, plan, codes, per_s, adaptation_s)
+        frames.make(progress, once, reading)
+        manifest: dict[str, Any] = {
+            "schema": "synfog-usd/sequence",
+            "version": 1,
+            "stage": plan.stage.name,
+            "frames_per_s": per_s,
+        }
+        manifest |= {"sampling_seed": plan.seed, "adaptation_s": adaptation_s, "warnings": warnings}
+        manifest["frames"] = frames.rows
+        _write_clip(plan.out, manifest, frames.bakes[0].manifest, log)
     progress("done", 1.0)
-    return manifest, bakes[0]
+    return manifest, frames.bakes[0]
+
+
+class _Frames:
+    """The frames of a clip, one after the other.
+
+    Args:
+        session: of the first frame.
+        plan, codes, adaptation_s: see `bake_sequence`; per_s: frames a second.
+
+    Attributes:
+        rows: of `sequence.json`; bakes: of the frames that are made.
+    """
+
+    def __init__(
+        self, session: Session, plan: BakePlan, codes: Sequence[float], per_s: float, adaptation_s: float
+    ) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.bakes: list[Baked] = []
+        self._session, self._plan, self._codes = session, plan, codes
+        self._clip = ClipFrame(0, per_s, adaptation_s, {}, {})
+
+    def make(self, progress: Progress, log: _FrameLog, reading: Reading) -> None:
+        """Make them; arguments as `bake` takes them."""
+        count = len(self._codes)
+        for number, code in enumerate(self._codes):
+            folder, seed = f"{number:06d}", frame_seed(self._plan.seed, code)
+            log.code = code
+            clip = replace(self._clip, number=number)
+            frame = replace(self._plan, frame=code, seed=seed, sampling_seed=self._plan.seed, clip=clip)
+            frame = replace(frame, out=self._plan.out / folder)
+            self._session = self._session.at(frame)
+            if not number:
+                with reading():
+                    price.tell_before(self._plan, self._session, count, log.log)
+            part = named(within(progress, number / count, (number + 1) / count), f"frame {number + 1} of {count}")
+            baked = bake(frame, progress=part, log=log, reading=reading, session=self._session)
+            self.bakes.append(baked)
+            if number == 1 and baked.seconds:
+                price.tell_by(frame.out, sum(baked.seconds.values()), count, log.log)
+            exposures = _exposures(baked.manifest)
+            kept = {row["folder"]: row["rounds"] for row in baked.manifest["shots"] if "rounds" in row}
+            self._clip = replace(
+                self._clip, before={**self._clip.before, **exposures}, kept={**self._clip.kept, **kept}
+            )
+            row = {"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures}
+            self.rows.append(row)
+
+
+def _write_clip(out: Path, manifest: dict[str, Any], first: Mapping[str, Any], log: Callable[[str], None]) -> None:
+    """Write what frames have in common.
+
+    Args:
+        out: of the sequence.
+        manifest: what `sequence.json` is to hold; `clips` is added to it.
+        first: what `bake.json` of the first frame holds.
+        log: given a line for what a user wants to know.
+    """
+    earlier, rows, per_s = _clip_files(out), manifest["frames"], manifest["frames_per_s"]
+    manifest["clips"] = _gather(out, rows, first, per_s, log)
+    for row in rows:
+        _write_camera(out / row["folder"], row, per_s)
+    flow.write(out, [row["folder"] for row in rows], per_s, log)
+    files.write_json(out / SEQUENCE, manifest)
+    if moved := _set_aside(out, earlier - _clip_files(out)):
+        log(f"{out}: {moved}")
 
 
 def _write_camera(folder: Path, row: Mapping[str, Any], per_s: float) -> None:
@@ -163,37 +208,6 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
             f"beyond which nothing moves"
         )
     return rate, warnings, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
-
-
-def _tell_price(out: Path, bakes: Sequence[Baked], count: int, log: Callable[[str], None]) -> None:
-    """Tell what a clip will take, by its second frame, which costs what all later ones do.
-
-    Raises:
-        OutputError: there is no room for it.
-    """
-    if len(bakes) != 2 or not bakes[1].seconds:
-        return
-    seconds = sum(bakes[1].seconds.values())
-    size = sum(path.stat().st_size for path in (out / f"{1:06d}").rglob("*") if path.is_file())
-    left, free = (count - 2) * size, shutil.disk_usage(out).free
-    log(
-        f"{out}: {count} frames, about {seconds:.2g} s and {size / 1e6:.2g} MB each: "
-        f"{_duration((count - 2) * seconds)} and {left / 1e9:.2g} GB more"
-    )
-    if left > free:
-        raise OutputError(
-            f"{out}: {count} frames take about {left / 1e9:.2g} GB more, and {free / 1e9:.2g} GB are free; choose "
-            f"another output folder, fewer --frames or a smaller --resolution"
-        )
-
-
-def _duration(seconds: float) -> str:
-    """A time in words.
-
-    >>> _duration(7200.0), _duration(90.0)
-    ('2 hours', '1.5 minutes')
-    """
-    return f"{seconds / 3600.0:.2g} hours" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} minutes"
 
 
 def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:

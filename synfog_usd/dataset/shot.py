@@ -171,7 +171,8 @@ def sample_shot(
     through = transmittance.of_instances(scene, looked_at.parts if looked_at else None, measured_depth)
     loaded = renderer.loaded_for(scene, plan.sampling.model)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
-    settings = settings_of(plan, floor, density, seed32(plan.paths, shot.lighting, shot.fog))
+    kept = tuple(plan.clip.kept.get(shot.folder, ())) if plan.clip else ()
+    settings = replace(settings_of(plan, floor, density, seed32(plan.paths, shot.lighting, shot.fog)), kept=kept)
     clear = looked_at.visible if looked_at and not loaded.boundaries and not scene.camera.width_m else None
     share = 1.0 / (1 + len(moving))
     part_progress = within(progress, 0.0, share)

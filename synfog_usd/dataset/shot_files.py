@@ -155,6 +155,8 @@ def _row(result: RenderedShot, plan: BakePlan) -> dict[str, Any]:
         row["further_exposures"] = {
             name: {"exposure_s": exposure.exposure_s, "iso": exposure.iso} for name, exposure in view.further.items()
         }
+    if plan.clip and rendered.radiance.provenance.get("denoised"):
+        row["rounds"] = list(rendered.rounds)
     black = _why_black(rendered.radiance, scene)
     return row | {"warnings": [*rendered.warnings, *([black] if black else [])]}
 

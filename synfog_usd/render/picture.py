@@ -50,6 +50,7 @@ class Rendered:
         samples: paths per pixel on average, as `Settings` means them.
         under_target: share of the pixels whose `error`, or else standard error, is under the target; None without
             one.
+        rounds: see `Accumulator`.
     """
 
     radiance: Image
@@ -64,6 +65,7 @@ class Rendered:
     warnings: tuple[str, ...]
     samples: float
     under_target: float | None
+    rounds: tuple[Mapping[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,7 @@ class Sampled:
             warnings=tuple(warnings),
             samples=accumulated.samples_per_pixel,
             under_target=under_target,
+            rounds=tuple(accumulated.rounds),
         )
 
     def _error(self, denoised: denoising.Denoised | None, noise: Pixels) -> tuple[float, float | None]:

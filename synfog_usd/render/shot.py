@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -66,6 +66,7 @@ class Settings:
         denoise: clean the components apart (see `denoise`), where the model tells them apart; the variance stays that
             of the samples. What cannot be denoised is given as it is, and a warning says so.
         draft: denoise for a look alone, see `denoise.denoise_draft`.
+        kept: rounds of samples of the frame before, see `sampling.adaptive.accumulate_denoised`.
         regularize: blur mirrors before lamps where paths are spread, less the more samples there are, see
             `surface.blur`; without it `path` has no bias at any number of samples, and more rare bright ones.
 
@@ -85,6 +86,7 @@ class Settings:
     bands: int = numbers.RGB
     denoise: bool = False
     draft: bool = False
+    kept: tuple[Mapping[str, int], ...] = ()
     regularize: bool = True
 
     def __post_init__(self) -> None:
@@ -247,7 +249,9 @@ def _still(
     else:
         look = functools.partial(denoising.guides, loaded, rays=rays)
     cleaning = _cleaning(look, loaded.source.camera, settings)
-    accumulated = accumulate_denoised(integrator, target=target, seed=seed, denoised=cleaning.judged, progress=progress)
+    accumulated = accumulate_denoised(
+        integrator, target=target, seed=seed, denoised=cleaning.judged, kept=settings.kept, progress=progress
+    )
     return accumulated, cleaning
 
 

@@ -56,7 +56,7 @@ def fitting(peak_mb: float | None) -> int:
     Args:
         peak_mb: the most memory that a unit was seen to take.
     """
-    return max(1, min(cores(), int(SHARE * system.free_memory() / 2**20 // (peak_mb or PEAK_MB))))
+    return max(1, min(system.cores(), int(SHARE * system.free_memory() / 2**20 // (peak_mb or PEAK_MB))))
 
 
 def gpus() -> tuple[str, ...]:
@@ -66,11 +66,6 @@ def gpus() -> tuple[str, ...]:
         return tuple(name.strip() for name in visible.split(",") if name.strip())
     listed = Path("/proc/driver/nvidia/gpus")
     return tuple(str(number) for number in range(len(list(listed.iterdir())))) if listed.is_dir() else ()
-
-
-def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextlib.contextmanager
@@ -92,7 +87,7 @@ def local(count: int) -> Iterator[Workers]:
             local_directory=None,
         )
     with ending_children(cluster), distributed.Client(cluster) as client:
-        yield Workers(client, count, max(1, cores() // count), here=True)
+        yield Workers(client, count, max(1, system.cores() // count), here=True)
 
 
 @contextlib.contextmanager

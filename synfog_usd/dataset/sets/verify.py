@@ -18,9 +18,9 @@ import numpy as np
 from synfog_usd.base import image
 from synfog_usd.base.errors import SynfogError
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.system import cores
 from synfog_usd.camera import writers
 from synfog_usd.dataset.sets import identity, index, journal, layout
-from synfog_usd.dataset.sets.cluster import cores
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.scenes import scenes
 from synfog_usd.dataset.sets.unit import changed, record, rows

@@ -259,12 +259,14 @@ class Accumulator:
         lost: samples that were not finite and count as zero.
         shape: (H, W) of the picture.
         weights: (C,) of the channels in a pixel's luminance [cd m-2]; R, G and B count alike.
+        rounds: of `add_samples`: estimator -> samples of a pixel.
     """
 
     estimators: dict[str, Estimator]
     lost: int = 0
     shape: tuple[int, int] = (0, 0)
     weights: Pixels = field(default_factory=lambda: np.full(3, 1.0 / 3.0))
+    rounds: list[dict[str, int]] = field(default_factory=list)
 
     def mean(self) -> Pixels:
         """(P, C) all light."""
@@ -539,6 +541,7 @@ def add_samples(
         pixels: (N,) their numbers, ascending.
         samples: estimator -> paths a pixel, or in each cell; half of them, or one more, go to the first half.
     """
+    accumulated.rounds.append(dict(samples))
     whole_cost = max(len(pixels) * sum(count * ESTIMATOR_COST[name] for name, count in samples.items()), 1.0)
     cost = 0.0
     for launches in _batches(_launches(accumulated, integrator, pixels, samples, seed), _times(integrator)):

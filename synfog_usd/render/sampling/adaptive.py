@@ -7,7 +7,7 @@ never in seconds, so that the same seed gives the same bytes on any machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,10 @@ LONGEST_STRIDE = 4.0
 
 LAST = 0.9
 """Part of what is left to do that a round is taken for at most, unless it is the last allowed: another may follow."""
+
+KEPT = 2.0
+"""Times its samples that a frame of a clip must need until it gets more than the frame before: large areas change by
+1 % where the numbers of samples do."""
 
 SENSOR_SHARE = 1.0 / 3.0
 """Part of the sensor's own noise that may be left of a render: together they are 5 % noisier than the sensor alone."""
@@ -156,6 +160,7 @@ def accumulate_denoised(
     target: Target,
     seed: int,
     denoised: Callable[[Accumulator], tuple[Pixels, Error] | None],
+    kept: Sequence[Mapping[str, int]] = (),
     progress: Progress = silent,
 ) -> Accumulator:
     """Sample all pixels alike, until the denoised picture meets the target or the samples are used up.
@@ -163,28 +168,33 @@ def accumulate_denoised(
     Args:
         integrator: as `accumulate_to_target` takes it.
         denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
+        kept: `Accumulator.rounds` of the frame before, which are made again where there are the same estimators; more
+            follow only where the picture needs `KEPT` times as many.
     """
     if not isinstance(integrator, Traces):
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
-    if target.open:
+    again = [dict(more) for more in kept if more.keys() == set(integrator.estimators)]
+    if target.open and not again:
         return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
     camera = integrator.loaded.source.camera
     pixels = camera.width_px * camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
     spent, share = 0, 0.0  # samples, and the part of the work that they are, as far as is known
-    after = min(FIRST, target.samples)
-    reach = after / target.samples
+    after, enough = min(FIRST, target.samples), KEPT if again else 1.0
+    reach = 1.0 if target.open else after / target.samples
     while True:
-        for number in rounds(after, denoised=True) if spent == 0 else (after,):
+        for more in again:
+            add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
+        for number in () if again else rounds(after, denoised=True) if spent == 0 else (after,):
             more = allocation(accumulated, number, denoised=True)
             add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
-        spent, share = after, reach
-        if spent >= target.samples:
+        spent, share, again = round(accumulated.samples_per_pixel) if again else after, reach, []
+        if target.open or spent >= target.samples:
             break
         needed = _times_before_denoising(accumulated, target)
-        if needed <= 1.0 and (picture := denoised(accumulated)) is not None:
+        if needed <= enough and (picture := denoised(accumulated)) is not None:
             needed = target.times_needed(*picture)
-            if needed <= 1.0:
+            if needed <= enough:
                 break
         stride = min(max(needed, LEAST_STRIDE), LONGEST_STRIDE)
         after = min(math.ceil(spent * stride / HALVES) * HALVES, target.samples)
