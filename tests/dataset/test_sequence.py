@@ -5,6 +5,7 @@ read.
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -28,6 +29,12 @@ from synfog_usd.camera.writers import video
 from synfog_usd.dataset.exports.frames import pictures
 from synfog_usd.dataset.job import job_of
 from synfog_usd.dataset.plan import frame_codes
+from synfog_usd.render import models
+from synfog_usd.render.dualbuffer import Error
+from synfog_usd.render.sampling import adaptive
+from synfog_usd.render.sampling.adaptive import Target
+from synfog_usd.render.shot import load
+from synfog_usd.scene.testing import scene, sky, uniform_fog, wall
 
 OPTIONS = (
     *("--frames", "0:3", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
@@ -372,13 +379,55 @@ def test_a_stage_without_a_rate_makes_no_clip(tmp_path):
     assert done.returncode == 2 and "timeCodesPerSecond is 0, so that its frames have no time" in done.stderr
 
 
-@pytest.mark.slow
-def test_a_clip_too_large_for_its_disk_ends_after_two_frames(tmp_path, monkeypatch):
-    """With hours and gigabytes in a line; what is finished stays."""
+def test_a_clip_too_large_for_its_disk_is_refused_before_its_first_frame(tmp_path, monkeypatch, caplog):
+    """Hours and gigabytes come first, and nothing is rendered."""
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9 - 10**6, 10**6))
-    with pytest.raises(OutputError, match=r"10000 frames take about .* GB more, and 0.001 GB are free"):
+    caplog.set_level("INFO", "synfog_usd")
+    with pytest.raises(OutputError, match=r"10000 frames take about 1.9 GB more, and 0.001 GB are free"):
         sf.bake(stage_of(tmp_path), tmp_path / "out", frames="0:9999", **SMALL)
-    assert len(list((tmp_path / "out").glob("0*/bake.json"))) == 2
+    assert re.search(r"10000 frames take \S+ hours to \S+ hours on \d+ cores, and about 1.9 GB", caplog.text)
+    assert not list((tmp_path / "out").rglob("*.exr"))
+
+
+@pytest.mark.parametrize("codes", [(), (0.0, 0.0), (0.0, 1.0, 3.0), (0.0, float("nan")), (float("inf"),)])
+def test_time_codes_that_make_no_video_are_refused(codes):
+    with pytest.raises(ParameterError, match="--frames"):
+        job_of("no.usda", frames=codes)
+
+
+def test_frames_keep_the_samples_of_the_first_until_they_need_twice_as_many():
+    """Of a view through fog, told that a picture needs 1.9 and 2.1 times its samples."""
+    fog = scene({**sky(), "shape_wall": wall(50.0, 5.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
+    integrator = models.make("path", load(fog, boundaries=False))
+    few = [{name: 2 for name in integrator.estimators}, {name: 4 for name in integrator.estimators}]
+    for needs, more in ((1.9, False), (2.1, True)):
+        error = Error(np.ones((9, 16)), np.ones((9, 16)), needs**0.5)
+        found = adaptive.accumulate_denoised(
+            integrator, target=Target(mottle=1.0, samples=16), seed=1, kept=few,
+            denoised=lambda made, error=error: (made.luminance().reshape(9, 16), error),
+        )  # fmt: skip
+        assert found.rounds[:2] == few and (len(found.rounds) > 2) is more, needs
+
+
+@pytest.mark.slow
+def test_a_still_view_in_fog_keeps_its_light_and_fog_that_lifts_is_another(tmp_path):
+    """Two frames of standing things in fog are the same to the bit, with the same samples; a third has its own fog."""
+    text = MOVING.replace("3: (0, 1, 1.5)", "3: (0, 0, 1.5)").replace("3: (1, 10, 1)", "3: (-2, 9, 1)")
+    fog = (
+        'def Cube "Fog" (\nprepend apiSchemas = ["SynFogMediumAPI"]\n)\n{\ndouble size = 300\n'
+        "float synfog:fog:mor.timeSamples = { 0: 60, 1: 60, 2: 120 }\n}\n"
+    )
+    text = text.replace("3: 40", "3: 20").replace('    def Cube "Block"', fog + '    def Cube "Block"')
+    options = SMALL | {"fog": "authored", "quality": "draft", "samples": 8}
+    found = sf.bake(stage_of(tmp_path, text), tmp_path / "clip", frames="0:2", **options).manifest
+    rows = [
+        json.loads((tmp_path / "clip" / frame["folder"] / "bake.json").read_text())["shots"][0]
+        for frame in found["frames"]
+    ]
+    light = [writers.read_exr(path).pixels for path in sorted((tmp_path / "clip").rglob("radiance.exr"))]
+    assert rows[0]["rounds"] == rows[1]["rounds"] and [row["mor_m"] for row in rows] == [60.0, 60.0, 120.0]
+    np.testing.assert_array_equal(light[0], light[1])
+    assert (light[1] != light[2]).mean() > 0.9
 
 
 KILLED = ("--frames", "0:2", "--fog", "clear", "--resolution", "48x28", "--samples", "2", "--quality", "reference")
