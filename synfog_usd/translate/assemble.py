@@ -284,6 +284,7 @@ def fog_around(
     if fog is not None:
         nested = _overridden(nested, fog, eye.to_world[:3, 3], bounds_m, notes)
     volume.refuse_cut(nested, eye)
+    volume.warn_of_night(nested, eye.to_world[:3, 3], notes)
     if nested and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in nested):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
     return nested

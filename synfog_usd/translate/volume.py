@@ -494,6 +494,33 @@ def warn_beyond(path: str, media: Sequence[tuple[str | None, float | None]], not
             )
 
 
+DIM = 0.1
+"""Share of daylight below which a scene in a medium that absorbs is taken for an accident."""
+
+
+def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) -> None:
+    """Note a layer that lets hardly any daylight down to the camera.
+
+    By the diffusion exponent sqrt(3 (1 - albedo) (1 - albedo g)), at most 1, for each optical depth above (van de
+    Hulst, Multiple Light Scattering (1980), chapter 5): right within a factor of 2 at the limit.
+    """
+    zenith = np.array([[0.0, 0.0, 1.0]])
+    for layer in fog:
+        medium = layer.medium
+        if layer.parent is not None or not layer.boundary.contains(eye[None])[0] or layer.boundary.kind == "mesh":
+            continue
+        _, leaves = layer.boundary.interval(eye[None], zenith)
+        depth = float(layer.optical_depth(eye[None], eye[None] + leaves[:, None] * zenith)[0])
+        exponent = 3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g)
+        share = math.exp(-depth * min(1.0, math.sqrt(exponent)))
+        if share < DIM:
+            notes.warn(
+                layer.path,
+                f"it absorbs, and lets about {100.0 * share:.1g} % of daylight down to the camera: thin it with height, "
+                f"as smoke100_scale10 does, or give it a smaller boundary",
+            )
+
+
 def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
     """Refuse values of fog attributes that have no meaning.
 

@@ -189,6 +189,15 @@ def test_sizes_without_a_meaning_are_refused(empty, how, words):
     assert "\n" not in str(problem.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "dark"), [("smoke100", True), ("smoke100_scale10", False), ("dust200", False), ("mor10", False)]
+)
+def test_a_layer_that_absorbs_nearly_all_daylight_is_noted(empty, name, dark):
+    """100 m of soot above the camera; soot that lies on the ground, dust and fog let daylight through."""
+    notes = [note.text for note in translate(empty(), fog=Fog.named(name)).notes]
+    assert any("daylight down to the camera" in text for text in notes) == dark
+
+
 def test_dust_says_what_its_spheres_get_wrong(empty):
     stage = empty()
     fog_box(stage, "/Fog", also="dust500")
