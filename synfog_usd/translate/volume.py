@@ -479,7 +479,10 @@ def _sizes(attributes: FogAttributes, fault: Fault) -> Sizes | None:
 
 
 def warn_beyond(path: str, media: Sequence[tuple[str | None, float | None]], notes: Diagnostics) -> None:
-    """Note where a medium, by its kind and rate [mm/h], leaves what its tables were measured for."""
+    """Note where a medium, by its kind and rate [mm/h], leaves what its tables were measured for.
+
+    Of desert dust: Koepke and Hess, Appl. Opt. 27, 2422 (1988); grains scatter more than spheres about 120 degrees.
+    """
     for kind, rate in media:
         if kind is not None and rate is not None and rate > (most := HEAVIEST_MM_H[kind]):
             notes.warn(

@@ -18,6 +18,7 @@ from support.looks import fill
 from synfog_usd.base.errors import StageError
 from synfog_usd.fog import Fog, FogMedium, FogVolume, extinction_from_visibility
 from synfog_usd.fog.drops import PICTURE, extinction, gunn_marshall_sizes, rain_sizes
+from synfog_usd.fog.volume import optical_depth
 from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
@@ -411,6 +412,17 @@ def test_the_same_place_twice_goes_by_priority(empty):
     assert [v.parent for v in translate(stage).fog] == [1, None]
 
 
+def test_ten_media_in_one_place_are_the_highest_one(empty):
+    """Each is in the one below it, and a ray meets the tenth alone."""
+    stage = empty()
+    for number in range(10):
+        fog_box(stage, f"/Medium{number}", priority=float(number), kind="dust", mor=100.0 + number)
+    volumes = translate(stage).fog
+    assert [volume.parent for volume in volumes] == [None, *range(9)]
+    depth = optical_depth(volumes, np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.array([4.0]))
+    np.testing.assert_allclose(depth, 4.0 * float(extinction_from_visibility(109.0)), rtol=1e-6)
+
+
 def test_crossing_fog_is_refused_with_both_names(empty):
     stage = empty()
     fog_box(stage, "/One")
@@ -541,7 +553,15 @@ def test_an_openvdb_volume_is_fog_where_its_npz_stands_beside_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"density": np.full((1, 1, 1), 2.0)}, {"high": np.full(3, -1e9)}, {"largest": None}]
+    "change",
+    [
+        {"density": np.full((1, 1, 1), 2.0)},
+        {"density": np.full((1, 1, 1), -0.5)},
+        {"density": np.array([[[0.0, np.nan]]])},
+        {"high": np.full(3, -1e9)},
+        {"largest": None},
+        {"largest": np.float64(np.nan)},
+    ],
 )
 def test_a_damaged_npz_of_a_volume_is_refused(tmp_path, change):
     arrays = {name: value for name, value in (vdb_arrays() | change).items() if value is not None}
