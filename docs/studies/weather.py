@@ -1,11 +1,13 @@
 """One street in every kind of weather: a sheet of pictures, and how wrong one airlight is in each.
 
-    synfog-usd bake stages/crossroads.usda --fog clear,mor150,haze1500,mist400,smoke100,dust200,spray80,rain25,snow2,\\
-mor150_patch20_deviation1 --quality draft --resolution 640x360 --out out/weather
+    synfog-usd bake stages/crossroads.usda --quality draft --resolution 640x360 --out out/weather \\
+        --fog clear,mor150,mor150_patch20_deviation1,haze1500,mist400,smoke100_scale10,dust200,spray80,rain25,snow2
     python -m docs.studies.weather out/weather
 
+It writes docs/reference/weather.md and the pictures of that page.
+
 The atmospheric scattering model mixes the clear frame J with one colour A by the transmittance t, L = J t + A (1 - t).
-A is the one that misses this very picture least, which nobody could know.
+A is the one that misses this very picture least in units of shot noise, which nobody could know.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.files import write_whole
 from synfog_usd.camera.writers import read_exr
+from synfog_usd.fog import kinds
 
 CLEAR = "clear"
 LEAST_FOG = 0.1
@@ -39,7 +42,7 @@ def errors(foggy: Path, clear: Path) -> dict[str, list[float]]:
     t = _layer(foggy, ["transmittance.Y"])[..., 0]
     seen = 1.0 - t > LEAST_FOG
     bright = truth @ LUMINANCE
-    airlight = fitted_airlight(truth, base, t, 1.0 / np.maximum(bright, 1e-6 * bright.max()))
+    airlight = fitted_airlight(truth, base, t, 1.0 / np.sqrt(np.maximum(bright, 1e-6 * bright.max())))
     model = (base * t[..., None] + airlight * (1.0 - t[..., None])) @ LUMINANCE
     once = bright - _layer(foggy, [f"airlight_multiple.{name}" for name in "RGB"]) @ LUMINANCE
     found = {
@@ -74,9 +77,50 @@ def table(out: Path) -> str:
     return "\n".join(lines)
 
 
+def optics() -> str:
+    """Markdown of what each kind does with light, from the tables that ship."""
+    lines = [
+        "| kind | of what | extinction at 464, 611 nm over 550 | albedo at 464, 549, 611 nm | mean cosine |",
+        "|---|---|---|---|---|",
+    ]
+    for name, kind in kinds.KINDS.items():
+        if name == kinds.FOG:
+            continue
+        medium = kinds.medium_of(name, mor_m=100.0)
+        sides = ", ".join(f"{value:.3f}" for value in medium.extinction_at([464.0, 611.0]))
+        albedos = ", ".join(f"{value:.3f}" for value in medium.albedo_at([464.0, 549.0, 611.0]))
+        lines.append(f"| `{name}` | {kind.about} | {sides} | {albedos} | {medium.g:.3f} |")
+    return "\n".join(lines)
+
+
+HEAD = """\
+# Kinds of weather
+
+`python -m docs.studies.weather` makes this page.
+
+## What each does with light
+{optics}
+
+## One airlight in each
+The atmospheric scattering model mixes the clear frame with one colour by the transmittance. That colour is the one that misses this very picture least in units of shot noise. Errors are of luminance, over pixels of which the medium has taken a tenth or more: the median, and what the worst twentieth exceeds. Beside it, light that was scattered once alone, and the median error that rendering left (`draft`).
+
+{errors}
+
+## One street in all of them
+{pictures}
+"""  # noqa: E501
+
+
+def page(out: Path, images: Path) -> str:
+    """The page in Markdown; its sheets of pictures are written to a folder."""
+    pictures = []
+    for lit in sorted(path for path in out.iterdir() if (path / CLEAR).is_dir()):
+        files = {shot.parent.name: shot for shot in sorted(lit.glob("*/srgb.png"))}
+        recipes.sheet(images / f"weather_{lit.name}.jpg", files)
+        pictures.append(f"![{lit.name}: {', '.join(files)}](../images/weather_{lit.name}.jpg)")
+    return HEAD.format(optics=optics(), errors=table(out), pictures="\n\n".join(pictures))
+
+
 if __name__ == "__main__":
-    folder = Path(sys.argv[1])
-    for lit in sorted(path for path in folder.iterdir() if (path / CLEAR).is_dir()):
-        pictures = {shot.parent.name: shot for shot in sorted(lit.glob("*/srgb.png"))}
-        recipes.sheet(Path(f"docs/images/weather_{lit.name}.jpg"), pictures)
-    write_whole(folder / "errors.md", lambda path: path.write_text(table(folder) + "\n", encoding="utf-8"))
+    text = page(Path(sys.argv[1]), Path("docs/images"))
+    write_whole(Path("docs/reference/weather.md"), lambda path: path.write_text(text, encoding="utf-8"))

@@ -166,10 +166,11 @@ def slab(ground: float, *, mor_m: float = 150.0, **how: Any) -> Known:
 
 
 def weather(name: str) -> Known:
-    """An empty slab of media by their name, which absorb nothing."""
+    """An empty slab of media by their name, in all colours as they are at 550 nm."""
     media = Fog.named(name)
     assert media is not None
-    return known_slab(empty_slab(media.over(FogMedium(1.0)), 0.15, width_px=8, height_px=12))
+    grey = replace(media.over(FogMedium(1.0)), colours=None)
+    return known_slab(empty_slab(grey, 0.15, width_px=8, height_px=12))
 
 
 def halves() -> Known:
@@ -416,7 +417,7 @@ def _slabs() -> list[Case]:
         Case("two half slabs stacked are one", halves, FULL, SOLVED, bands=3),
         *(
             Case(f"empty slab of {name}", functools.partial(weather, name), FULL, SOLVED, bands=3, quick="+" in name)
-            for name in ("mist300", "spray150", "snow10", "rain25+mor150")
+            for name in ("haze300", "mist300", "smoke300", "dust300", "spray150", "snow10", "rain25+mor150")
         ),
     ]
 
