@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -173,9 +174,10 @@ def test_flow_of_virtual_kitti_is_decoded_as_its_authors_do(clip, exported):
     tree = exported("vkitti2") / "Scene00" / "sky-clear" / "frames"
     for way, numbers in (("forward", (0, 1)), ("backward", (1, 2))):
         folder = tree / f"{way}Flow" / "Camera_0"
-        assert sorted(path.name for path in folder.iterdir()) == [f"{way}Flow_{number:05}.png" for number in numbers]
+        flat, deep = {"forward": ("flow", "sceneFlow"), "backward": ("backwardFlow", "backwardSceneFlow")}[way]
+        assert sorted(path.name for path in folder.iterdir()) == [f"{flat}_{number:05}.png" for number in numbers]
         for number in numbers:
-            coded = cv2.imread(str(folder / f"{way}Flow_{number:05}.png"), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+            coded = cv2.imread(str(folder / f"{flat}_{number:05}.png"), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
             assert coded.dtype == np.uint16 and coded.shape == (*SIZE, 3)
             assert (coded[..., 0] == 65535).all()  # OpenCV has blue first
             found = (2.0 / 65535.0 * coded[..., 2:0:-1].astype(float) - 1.0) * [SIZE[1] - 1, SIZE[0] - 1]
@@ -184,6 +186,32 @@ def test_flow_of_virtual_kitti_is_decoded_as_its_authors_do(clip, exported):
             ids, by_path = ids_of(clip, number)
             mine = ids == by_path["/shape_car_0"]
             assert mine.any() and (np.sign(found[mine][:, 0]) == (1.0 if way == "forward" else -1.0)).all()
+            place = tree / f"{way}SceneFlow" / "Camera_0" / f"{deep}_{number:05}.png"
+            coded = cv2.imread(str(place), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+            ways = (coded[..., ::-1] * 2.0 / 65535.0 - 1.0) * 10.0
+            sign = 1.0 if way == "forward" else -1.0
+            for name in ("ground", "car_0", "car_1", "person_0"):
+                wanted = sign * SOLIDS[name][3], 0.0, 0.0
+                mine = ids == by_path[f"/shape_{name}"]
+                np.testing.assert_allclose(ways[mine], np.tile(wanted, (mine.sum(), 1)), atol=1e-3)
+
+
+def test_a_rig_of_six_has_a_camera_each(clip, tmp_path):
+    """No camera's frames take the place of another's; nuScenes has a channel for each in every sample."""
+    rows = [{"camera": f"/Rig/Eye_{number}", "folder": f"Eye_{number}"} for number in range(6)]
+    for row in rows:
+        shutil.copytree(clip, tmp_path / "rig" / row["folder"])
+    files.write_json(tmp_path / "rig" / "rig.json", {"cameras": rows})
+    for name in ("vkitti2", "nuscenes"):
+        export(tmp_path / "rig", exporter(name), tmp_path / name)
+    tree = tmp_path / "vkitti2" / "Scene00" / "sky-clear" / "frames" / "rgb"
+    assert {path.name: len(list(path.iterdir())) for path in tree.iterdir()} == {
+        f"Camera_{n}": FRAMES for n in range(6)
+    }
+    tables = tmp_path / "nuscenes" / nuscenes.VERSION
+    channels = {row["token"]: row["channel"] for row in json.loads((tables / "sensor.json").read_text())}
+    assert sorted(channels.values()) == [f"CAM_EYE_{number}" for number in range(6)]
+    assert len(json.loads((tables / "sample_data.json").read_text())) == 6 * 3 * FRAMES
 
 
 def test_coco_has_videos_and_tracks(clip, exported):

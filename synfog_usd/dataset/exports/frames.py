@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,8 @@ class LabelledPicture(PictureKey):
 
     Attributes:
         files: name -> path; labels.exr, labels.json, instances.json, radiance.exr, layers.exr, and
-            what the pipeline puts out; of a clip also flow.exr and tracks.json.
+            what the pipeline puts out; of a clip also flow.exr, tracks.json, and the labels.json of the next frame
+            and the one before as `forward` and `backward`.
         moment: when in a clip it was taken; None for a picture of none.
     """
 
@@ -153,13 +154,35 @@ class LabelledPicture(PictureKey):
         Args:
             way: 'forward' or 'backward'.
         """
+        return self._flow(way, ("X", "Y", "seen"))
+
+    def scene_flow(self, way: str) -> Array | None:
+        """(H, W, 3) where what a pixel shows is seen from the camera of the next frame, or the one before, less where
+        it is seen from here [m], x right, y down, z ahead; 0 of the sky.  None where there is none.
+
+        Args:
+            way: 'forward' or 'backward'.
+        """
+        motion, labels = self._flow(way, ("motion.X", "motion.Y", "motion.Z")), self.labels
+        if motion is None:
+            return None
+        other = _json(self.files[way])["camera"]
+        here, there = (np.array(camera["camera_to_world"]) for camera in (labels.camera, other))
+        depth = np.where(np.isfinite(labels.depth_m), labels.depth_m, 0.0)
+        v, u = np.indices(depth.shape, dtype=np.float64)
+        rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(labels.camera["camera_matrix_px"]).T
+        local = rays * depth[..., None]
+        world = local @ here[:3, :3].T + here[:3, 3] + motion
+        return np.where(depth[..., None] > 0.0, (world - there[:3, 3]) @ there[:3, :3] - local, 0.0)
+
+    def _flow(self, way: str, channels: Sequence[str]) -> Array | None:
         from synfog_usd.base.image import Quantity
         from synfog_usd.camera import writers
 
         path = self.files.get("flow.exr")
         if path is None:
             return None
-        names = [f"{way}.{channel}" for channel in ("X", "Y", "seen")]
+        names = [f"{way}.{channel}" for channel in channels]
         image = writers.read_exr(path, quantity=Quantity.DATA)
         if not set(names) <= set(image.channels):
             return None
@@ -305,7 +328,7 @@ def with_right(entries: Iterable[LabelledPicture]) -> Iterator[tuple[LabelledPic
         scene = list(some)
         listings = {path: _json(path) for path in dict.fromkeys(entry.files["labels.json"] for entry in scene)}
         labels = [listings[entry.files["labels.json"]] for entry in scene]
-        keys = [(entry.lighting, entry.fog, entry.pipeline) for entry in scene]
+        keys = [(entry.lighting, entry.fog, entry.pipeline, entry.moment) for entry in scene]
         eyes = {
             (*key, listing.get("camera", {}).get("path")): n
             for n, (key, listing) in enumerate(zip(keys, labels, strict=True))
@@ -333,8 +356,10 @@ def _of_folder(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
     except (KeyError, TypeError, ValueError) as error:
         raise OutputError(f"{out / SEQUENCE}: no manifest of a clip ({error!r}); bake again") from error
     tracks = {"tracks.json": out / "tracks.json"} if (out / "tracks.json").is_file() else {}
-    for folder, moment in rows:
+    for number, (folder, moment) in enumerate(rows):
         flow = {"flow.exr": folder / "flow.exr"} if (folder / "flow.exr").is_file() else {}
+        for way, other in (("backward", number - 1), ("forward", number + 1)):
+            flow |= {way: rows[other][0] / "labels.json"} if flow and 0 <= other < len(rows) else {}
         for picture in _of_bake(folder, camera):
             yield replace(picture, moment=moment, files={**picture.files, **tracks, **flow})
 

@@ -19,6 +19,10 @@ from synfog_usd.dataset.exports.frames import LabelledPicture, plain, with_right
 from synfog_usd.dataset.exports.record import Boxed
 
 STEPS_PER_M = 100.0
+REACH_M = 10.0
+"""Of scene flow, to each side."""
+FLOWS = {"forward": ("flow", "sceneFlow"), "backward": ("backwardFlow", "backwardSceneFlow")}
+"""Way -> how files of optical flow and of scene flow begin."""
 HEADS = {
     "intrinsic": "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]",
     "extrinsic": "frame cameraID r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1",
@@ -34,7 +38,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
     """Write `SceneXX/<variant>/frames/...` and the text files of each variant; all frames of one follow each other."""
     names = Names()
     texts: dict[str, dict[str, list[str]]] = {}
-    scene = None
+    scene, cameras = None, dict[str, int]()
     colours = "Category r g b\n" + "".join(
         f"{kind.name.replace(' ', '')} {kind.colour[0]} {kind.colour[1]} {kind.colour[2]}\n" for kind in LABELS.values()
     )
@@ -49,6 +53,7 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
                 folder.text(f"{tree}/{name}.txt", f"{HEADS[name]}\n" + "".join(dict.fromkeys(lines)))
             folder.text(f"{tree}/colors.txt", colours)
         texts.clear()
+        cameras.clear()
 
     for picture, right in with_right(pictures()):
         if scene is not None and picture.scene != scene:
@@ -57,7 +62,8 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         tree = f"Scene{picture.scene:02}/{plain(picture.lighting)}-{plain(picture.fog)}"
         frame = picture.moment.frame if picture.moment else int(names.stem(picture, "").rpartition("_")[2])
         base = f"{tree}/frames"
-        for number, eye in enumerate([picture, *([right] if right else [])]):
+        for place, eye in enumerate([picture, *([right] if right else [])]):
+            number = cameras.setdefault(eye.camera, len(cameras)) if eye.moment else place
             labels, which = eye.labels, f"Camera_{number}"
             labels.refuse_fisheye("Virtual KITTI 2")
             folder.jpeg(f"{base}/rgb/{which}/rgb_{frame:05}.jpg", eye.screen)
@@ -65,18 +71,21 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
             folder.png(f"{base}/classSegmentation/{which}/classgt_{frame:05}.png", palette[labels.semantic])
             ids = labels.instance.astype(np.uint16)
             folder.png(f"{base}/instanceSegmentation/{which}/instancegt_{frame:05}.png", ids)
-            for way in ("forward", "backward"):
+            for way, (flat, deep) in FLOWS.items():
                 if (flow := eye.flow(way)) is not None:
-                    place = f"{base}/{way}Flow/{which}/{way}Flow_{frame:05}.png"
-                    folder.png(place, coded_flow(flow[:, :, :2]))
+                    folder.png(f"{base}/{way}Flow/{which}/{flat}_{frame:05}.png", coded_flow(flow[:, :, :2]))
+                if (flow := eye.scene_flow(way)) is not None:
+                    steps = np.rint((np.clip(flow / REACH_M, -1.0, 1.0) + 1.0) * 0.5 * 65535.0).astype(np.uint16)
+                    folder.png(f"{base}/{way}SceneFlow/{which}/{deep}_{frame:05}.png", steps)
             parts = texts.setdefault(tree, {name: [] for name in HEADS})
             _write_rows(parts, frame, number, eye, chosen)
     flush()
     return [
         "Depth is planar, uint16 in cm: what lies beyond 655.34 m is 65535, where the original has the sky too; ours "
         "is 0.",
-        "Classes and colours are Cityscapes'. Camera_1 is the right eye of a pair.",
+        "Classes and colours are Cityscapes'. Camera_1 is the right eye of a pair, or the next camera of a rig's clip.",
         "Optical flow is of clips alone, also where the other frame does not show the point, and of the sky.",
+        "Scene flow is from camera to camera, x right, y down, z ahead, within 10 m; 0 of the sky.",
         "World space is the stage's, in metres with Y down: x, -z, y of ours.",
     ]
 
