@@ -1,7 +1,9 @@
 """Workers of a scheduler that runs already."""
 
+import sys
+
 import pytest
-from support.cli import process
+from support.cli import process, run
 from support.stages import street
 
 pytest.importorskip("distributed")
@@ -16,3 +18,12 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path):
         "synfog-usd: --scheduler tcp://127.0.0.1:9: no Dask scheduler"
     )
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("library", ["distributed", "pyarrow"])
+def test_a_missing_library_is_told_before_anything_is_written(tmp_path, monkeypatch, library):
+    """Both are named at once."""
+    monkeypatch.setitem(sys.modules, library, None)
+    done = run("dataset", "run", "mini", "-o", tmp_path / "out")
+    assert done.returncode == 2 and "pip install distributed pyarrow" in done.stderr
+    assert not (tmp_path / "out").exists()

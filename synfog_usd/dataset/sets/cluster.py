@@ -6,6 +6,7 @@ Dask is imported here and in `run` alone, when a set is made.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
 import os
 from collections.abc import Iterator
@@ -119,10 +120,21 @@ def joined(address: str) -> Iterator[Workers]:
             yield Workers(client, threads, 0)
 
 
-def _dask() -> tuple[ModuleType, ModuleType]:
+def need_libraries() -> None:
+    """Refuse to begin where a library of the extra `sets` is missing.
+
+    Raises:
+        SetError: with what to install.
+    """
     try:
-        import dask
-        import distributed
+        for name in ("distributed", "pyarrow"):
+            importlib.import_module(name)
     except ImportError as error:
-        raise SetError("data sets are made by Dask: pip install distributed pyarrow") from error
+        raise SetError("data sets need Dask and Arrow: pip install distributed pyarrow") from error
+
+
+def _dask() -> tuple[ModuleType, ModuleType]:
+    import dask
+    import distributed
+
     return dask, distributed

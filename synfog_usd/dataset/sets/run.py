@@ -194,6 +194,7 @@ def run(
     """
     from synfog_usd.render import backend
 
+    cluster.need_libraries()
     out, began, definition = plan.out, time.monotonic(), offers.with_offers(definition)
     with journal.held(out):
         _sweep(out)
