@@ -327,7 +327,7 @@ def test_the_gallery_plays_a_clip_and_a_box_keeps_its_colour(clip, tmp_path):
             page.evaluate("name => { location.hash = '#shot=' + name }", name)
             page.wait_for_selector(f"body[data-ready='{name}']")
             hues.append(page.evaluate(EDGE, row["box_px"]))
-        assert hues[0] == hues[1] == hues[2] and hues[0] is not None
+        np.testing.assert_allclose(hues, [hues[0]] * 3, atol=4)  # what is half covered is rounded
         page.check("#overlay-flow")
         painted = page.evaluate(
             "(() => { const c = document.getElementById('plane');"
@@ -345,7 +345,7 @@ EDGE = """(box) => {
   const canvas = document.getElementById('marks'), scale = canvas.width / 192, context = canvas.getContext('2d');
   const y = Math.round((box[1] + box[3] / 2) * scale), x = Math.round(box[0] * scale);
   const line = context.getImageData(x - 2, y, 5, 1).data;
-  for (let n = 0; n < 5; n++) if (line[4 * n + 3] > 250) return [line[4 * n], line[4 * n + 1], line[4 * n + 2]].join();
-  return null;
+  const covered = [0, 1, 2, 3, 4].map((n) => line[4 * n + 3]), n = covered.indexOf(Math.max(...covered));
+  return covered[n] > 100 ? [line[4 * n], line[4 * n + 1], line[4 * n + 2]] : null;
 }"""
 """The colour of the left edge of a box in its middle."""
