@@ -38,13 +38,14 @@ class LabelledPicture(PictureKey):
 
     Attributes:
         files: name -> path; labels.exr, labels.json, instances.json, radiance.exr, layers.exr, and
-            what the pipeline puts out; of a clip also flow.exr, tracks.json, and the labels.json of the next frame
-            and the one before as `forward` and `backward`.
+            what the pipeline puts out; of a clip also flow.exr and tracks.json.
         moment: when in a clip it was taken; None for a picture of none.
+        neighbours: of a clip the labels.json of the next frame as `forward`, and of the one before as `backward`.
     """
 
     files: Mapping[str, Path] = field(repr=False)
     moment: Moment | None = None
+    neighbours: Mapping[str, Path] = field(default_factory=dict, repr=False)
 
     @property
     def name(self) -> str:
@@ -166,7 +167,7 @@ class LabelledPicture(PictureKey):
         motion, labels = self._flow(way, ("motion.X", "motion.Y", "motion.Z")), self.labels
         if motion is None:
             return None
-        other = _json(self.files[way])["camera"]
+        other = _json(self.neighbours[way])["camera"]
         here, there = (np.array(camera["camera_to_world"]) for camera in (labels.camera, other))
         depth = np.where(np.isfinite(labels.depth_m), labels.depth_m, 0.0)
         v, u = np.indices(depth.shape, dtype=np.float64)
@@ -358,10 +359,11 @@ def _of_folder(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
     tracks = {"tracks.json": out / "tracks.json"} if (out / "tracks.json").is_file() else {}
     for number, (folder, moment) in enumerate(rows):
         flow = {"flow.exr": folder / "flow.exr"} if (folder / "flow.exr").is_file() else {}
-        for way, other in (("backward", number - 1), ("forward", number + 1)):
-            flow |= {way: rows[other][0] / "labels.json"} if flow and 0 <= other < len(rows) else {}
+        beside = (("backward", number - 1), ("forward", number + 1))
+        neighbours = {way: rows[k][0] / "labels.json" for way, k in beside if 0 <= k < len(rows)}
         for picture in _of_bake(folder, camera):
-            yield replace(picture, moment=moment, files={**picture.files, **tracks, **flow})
+            files = {**picture.files, **tracks, **flow}
+            yield replace(picture, moment=moment, files=files, neighbours=neighbours)
 
 
 def clips(entries: Iterable[LabelledPicture], layout: str) -> dict[str, list[LabelledPicture]]:
