@@ -1,7 +1,7 @@
 """Drops and flakes as a camera sees them: streaks of an exposure, out of focus, row by row, behind what is nearer.
 
 Takes where drops are in the picture, how fast they cross it and how much of it they cover; gives what share of each
-pixel they leave free.  Knows nothing of rain.
+pixel they cover, and by what light.  Knows nothing of rain.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class Streaks:
         width_px: (N,) diameter of the drop [px].
         blur_px: (N,) diameter of the disc of what is out of focus [px].
         distance_m: (N,) from the camera [m].
+        light: (N, C) radiance of each drop beside what all of them send, or (N, 0).
     """
 
     place_px: Array
@@ -49,6 +50,7 @@ class Streaks:
     width_px: Array
     blur_px: Array
     distance_m: Array
+    light: Array
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,9 @@ class Shutter:
     part: tuple[float, float] = (0.0, 1.0)
 
 
-def left_free(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> FloatArray:
-    """Share (H, W) of each pixel and its exposure that no drop covers, as if drops were opaque.
+def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> FloatArray:
+    """Optical depth (H, W, 1 + C) of opaque drops in each pixel and its exposure, of which exp(-depth) stays free; and
+    the same times the light of each drop.
 
     A drop covers of a pixel the part of the exposure for which it is before it, times the part of the pixel.  Several
     drops leave the product of what each leaves, whose mean over places of Poisson's process is exp(-mean cover).
@@ -81,7 +84,8 @@ def left_free(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Flo
     Source: Garg and Nayar, "Vision and rain", International Journal of Computer Vision 75 (2007), section 3.
     """
     height, width = distance_m.shape
-    free = np.zeros(height * width)
+    factors = np.concatenate([np.ones((len(streaks.light), 1)), streaks.light], axis=1)
+    depth = np.zeros((factors.shape[1], height * width))
     begin, end = shutter.part
     lasts_s = (end - begin) * shutter.exposure_s
     lag_s = shutter.readout_s / height
@@ -96,6 +100,7 @@ def left_free(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Flo
     reach = 0.5 * (np.abs(way) + wide[:, None]) + 1.0
     meets = np.all((middle + reach > 0.0) & (middle - reach < (width, height)), axis=1)
     middle, way, wide, far = middle[meets], way[meets], wide[meets], streaks.distance_m[meets]
+    factors = factors[meets]
     cover, area = (streaks.area_px * stretched)[meets], (long[meets] + wide + 1.0) * np.maximum(wide, 1.0)
     count = np.where(wide > 1.0, PER_PX2 * area, area)
     count = np.clip(count, 2.0, MOST_POINTS).astype(np.int64)
@@ -110,9 +115,9 @@ def left_free(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Flo
         radius, angle = np.where(thick, 0.5 * wide[these] * np.sqrt(step), 0.0), GOLDEN_RAD * point
         x = middle[these, 0] + way[these, 0] * along + radius * np.cos(angle) - 0.5
         y = middle[these, 1] + way[these, 1] * along + radius * np.sin(angle) - 0.5
-        together = None if faint[some[0]] else drop
-        _cover(free, (x, y), (cover / count)[these], far[these], together, distance_m)
-    return np.exp(free).reshape(height, width).astype(np.float32)
+        together = not faint[some[0]]
+        _cover(depth, (x, y), (cover / count)[these], far[these], (these, factors, together), distance_m)
+    return np.moveaxis(depth.reshape(-1, height, width), 0, 2).astype(np.float32)
 
 
 def _batches(count: Indices, apart: int) -> Iterator[slice]:
@@ -135,11 +140,18 @@ def _points(count: Indices) -> tuple[Indices, Indices]:
 
 
 def _cover(
-    free: Array, places: tuple[Array, Array], cover: Array, far_m: Array, drop: Indices | None, distance_m: FloatArray
+    depth: Array,
+    places: tuple[Array, Array],
+    cover: Array,
+    far_m: Array,
+    drops: tuple[Indices, Array, bool],
+    distance_m: FloatArray,
 ) -> None:
-    """Add to the logarithms (H W,) of what is free what points leave of the four pixels around each; those of one
-    `drop` cover a pixel together.
+    """Add to the depth (1 + C, H W) what points cover of the four pixels around each.
+
+    `drops` says the drop of each point, factors (N, 1 + C) of each drop, and whether its points cover a pixel together.
     """
+    drop, factors, together = drops
     height, width = distance_m.shape
     column, row = (np.floor(place).astype(np.int64) for place in places)
     right, below = places[0] - column, places[1] - row
@@ -151,13 +163,16 @@ def _cover(
             pixel = np.where(inside, line * width + here, 0)
             shows = inside & (far_m < distance_m.ravel()[pixel])
             weight = cover * (right if across else 1.0 - right) * (below if down else 1.0 - below)
-            keys.append((pixel if drop is None else drop * (height * width) + pixel)[shows])
+            keys.append((drop * (height * width) + pixel)[shows])
             parts.append(weight[shows])
     key, share = np.concatenate(keys), np.concatenate(parts)
-    if drop is not None:
+    if together:
         order = np.argsort(key, kind="stable")
         key, share = key[order], share[order]
         first = np.flatnonzero(np.diff(key, prepend=-1))
         share = np.add.reduceat(share, first) if len(first) else share
-        key = key[first] % (height * width)
-    free += np.bincount(key, np.log1p(-np.minimum(share, 1.0 - 1e-6)), minlength=height * width)
+        key = key[first]
+    stopped = -np.log1p(-np.minimum(share, 1.0 - 1e-6))
+    drop, pixel = np.divmod(key, height * width)
+    for plane, factor in zip(depth, factors.T, strict=True):
+        plane += np.bincount(pixel, stopped * factor[drop], minlength=height * width)

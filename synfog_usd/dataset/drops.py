@@ -15,10 +15,15 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array, FloatArray, total
 from synfog_usd.base.image import Image
+from synfog_usd.base.numbers import RGB
 from synfog_usd.base.seeds import seed32
+from synfog_usd.dataset.drop_light import FARTHEST_M, Lamp, Sightlines, lamps_of, scattered
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.fog import falling
 from synfog_usd.fog.falling import Cone, Drops, SizeClasses
+from synfog_usd.fog.kinds import medium_of
+from synfog_usd.fog.medium import FogMedium
+from synfog_usd.fog.volume import FogVolume
 
 if TYPE_CHECKING:
     from synfog_usd.camera.graph import NodeGraph
@@ -68,11 +73,11 @@ def with_drops(result: RenderedShot, graph: NodeGraph, moment: FallTime) -> Rend
 
     A drop shows a wide view of what is around it, upside down (Garg and Nayar 2007), and a flake scatters all round.
     Both send what the medium itself sends to the camera: the airlight of the picture over the share of light that the
-    medium stops, a mean over `AROUND`.  The picture does not tell where along a ray a lamp lights the air.  So drops in
-    the beams of the car's own headlights are too dark, and those before a far lamp's cone too light.
+    medium stops, a mean over `AROUND`, without that of lamps.  Each lamp lights each drop by itself, see `drop_light`;
+    nothing shades it.
 
-    A pixel L becomes M (L - (1 - T) J) / T + (1 - M) J, whose mean over drops is L.  T is the mean share of light that
-    the drops let through, M what they let through now, J their light.
+    A pixel L becomes M (L - (1 - T) J) / T + (1 - M) K, whose mean over drops is L.  T is the mean share of light that
+    the drops let through, M what they let through now; J is their light on average, K now.
     """
     from synfog_usd.camera.exposure import moments_of
 
@@ -81,56 +86,85 @@ def with_drops(result: RenderedShot, graph: NodeGraph, moment: FallTime) -> Rend
     if not kinds or scene.camera.width_m > 0.0:
         return result
     parts, shutter = moments_of(graph), shutter_of(result, graph)
-    falls, mean = _falls(kinds, result, graph, shutter.exposure_s, moment)
-    light, distance_m = light_on_drops(rendered), rendered.aovs.distance_m.astype(np.float32)
-    radiance = _through(rendered.radiance, mean, _free(falls, shutter, distance_m), light)
+    lamps = lamps_of(scene) if rendered.radiance.pixels.shape[2] == RGB else []
+    falls, mean = _falls(kinds, result, graph, shutter.exposure_s, moment, lamps)
+    light, distance_m = light_on_drops(rendered, scene, lamps), rendered.aovs.distance_m.astype(np.float32)
+    radiance = _through(rendered.radiance, mean, _depth(falls, shutter, distance_m), light)
     components = dict(rendered.components)
     if components:
         components["drops"] = radiance.pixels - rendered.radiance.pixels
     exposures = {
-        name: _through(picture, mean, _free(falls, replace(shutter, part=parts[name]), distance_m), light)
+        name: _through(picture, mean, _depth(falls, replace(shutter, part=parts[name]), distance_m), light)
         for name, picture in result.exposures.items()
     }
     return replace(result, rendered=replace(rendered, radiance=radiance, components=components), exposures=exposures)
 
 
-def _through(picture: Image, mean: FloatArray, free: FloatArray, light: FloatArray) -> Image:
-    """A picture behind drops that leave (H, W, 1) `free` where they leave `mean` in the medium."""
-    behind = np.maximum((picture.pixels - (1.0 - mean) * light) / mean, 0.0)
-    return picture.with_pixels(behind * free + (1.0 - free) * light, variance=picture.variance)
+def _through(picture: Image, mean: FloatArray, drops: FloatArray, light: FloatArray) -> Image:
+    """A picture behind drops, whose light without lamps is `light`.
+
+    Args:
+        mean: (H, W, 1 + C) optical depth in the medium, and times the light of lamps; drops: the same, now.
+    """
+
+    def veil(depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        free = np.exp(-depth[:, :, :1])
+        of_lamps = depth[:, :, 1:] / np.maximum(depth[:, :, :1], 1e-9) if depth.shape[2] > 1 else 0.0
+        return free, (1.0 - free) * (light + of_lamps)
+
+    (through, expected), (free, sent) = veil(mean), veil(drops)
+    behind = np.maximum((picture.pixels - expected) / through, 0.0)
+    return picture.with_pixels(behind * free + sent, variance=picture.variance)
 
 
 def _falls(
-    kinds: Sequence[SizeClasses], result: RenderedShot, graph: NodeGraph, exposure_s: float, moment: FallTime
+    kinds: Sequence[tuple[SizeClasses, FogMedium]],
+    result: RenderedShot,
+    graph: NodeGraph,
+    exposure_s: float,
+    moment: FallTime,
+    lamps: Sequence[Lamp],
 ) -> tuple[list[Streaks], FloatArray]:
-    """Drops of each kind, and (H, W, 1) the mean share of light that all of them let through."""
+    """Drops of each kind, and (H, W, 1 + C) the mean optical depth of all of them, and times the light of lamps."""
     camera, distance_m = result.scene.camera, result.rendered.aovs.distance_m
     view, (aperture_m, focus_m) = Projection.of(camera), _lens(camera, graph)
     eye_m = camera.to_world[:3, 3] + np.asarray(result.scene.origin_m)
     towards = Cone(eye_m, -camera.to_world[:3, 2], _half_angle(camera))
-    depth, falls = np.zeros(distance_m.shape), []
-    for number, sizes in enumerate(kinds):
+    depth, falls = np.zeros((*distance_m.shape, 4 if lamps else 1), np.float32), []
+    for number, (sizes, medium) in enumerate(kinds):
         reach_m, still = reach_of(sizes, view), np.zeros(3)
         drops = falling.falling(
             sizes, reach_m, towards, time_s=moment.time_s, wind_m_s=still, seed=seed32(moment.seed, "falling", number)
         )
-        falls.append(streaks_of(drops, view, exposure_s, aperture_m, focus_m))
-        depth += sizes.optical_depth(reach_m, distance_m)
-    return falls, np.exp(-depth).astype(np.float32)[:, :, None]
+        depth[:, :, 0] += sizes.optical_depth(reach_m, distance_m)
+        light = np.zeros((len(drops.place_m), 0))
+        if lamps:
+            way = drops.place_m / np.linalg.norm(drops.place_m, axis=1)[:, None]
+            light = scattered(lamps, drops.place_m + camera.to_world[:3, 3], -way, medium)
+            lines = Sightlines.of(camera, lamps, medium, falling.FAR_M)
+            depth[:, :, 1:] += lines.sum(sizes.optical_depth(reach_m, lines.ends_m), distance_m)
+        falls.append(streaks_of(drops, view, exposure_s, aperture_m, focus_m, light))
+    return falls, depth
 
 
-def falling_in(scene: SceneDict) -> list[SizeClasses]:
-    """What falls where the camera is; nothing in a density grid, whose rain is of no one rate."""
+def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium]]:
+    """What falls where the camera is, with the medium of it alone; nothing in a density grid, whose rain is of no one
+    rate.
+    """
+    of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
+    return [
+        (of_kind[kind](sizes), medium_of(kind, sizes=sizes))
+        for volume in _around(scene)
+        for kind, sizes in volume.medium.falls
+    ]
+
+
+def _around(scene: SceneDict) -> list[FogVolume]:
+    """The innermost volumes in which the camera is, without density grids."""
     eye_m = scene.camera.to_world[:3, 3]
     inside = {index: volume for index, volume in enumerate(scene.fog) if volume.boundary.contains(eye_m)[0]}
     around = {volume.parent for volume in inside.values()}
-    of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
-    return [
-        of_kind[kind](sizes)
-        for index, volume in inside.items()
-        if index not in around and volume.medium.grid is None
-        for kind, sizes in volume.medium.falls
-    ]
+    return [volume for index, volume in inside.items() if index not in around and volume.medium.grid is None]
 
 
 def reach_of(sizes: SizeClasses, view: Projection) -> Array:
@@ -153,7 +187,9 @@ def shutter_of(result: RenderedShot, graph: NodeGraph) -> Shutter:
     return Shutter(exposure_s, sensor.readout_s if isinstance(sensor, SensorProfile) else 0.0)
 
 
-def streaks_of(drops: Drops, view: Projection, exposure_s: float, aperture_m: float, focus_m: float) -> Streaks:
+def streaks_of(
+    drops: Drops, view: Projection, exposure_s: float, aperture_m: float, focus_m: float, light: Array | None = None
+) -> Streaks:
     """What a camera makes of drops.
 
     A point at distance d is a disc as wide as the lens's opening is seen from there, less than from the plane of focus
@@ -165,14 +201,16 @@ def streaks_of(drops: Drops, view: Projection, exposure_s: float, aperture_m: fl
         exposure_s: over which speeds across the picture are taken [s].
         aperture_m: width of the lens's opening [m].
         focus_m: distance of sharp focus [m]; may be infinite.
+        light: (N, C) radiance of each drop by lamps.
     """
     from synfog_usd.camera.streaks import Streaks
 
+    light = np.zeros((len(drops.place_m), 0)) if light is None else light
     local = drops.place_m @ view.rotation.T
     half = (drops.velocity_m_s - np.array(view.camera.velocity_m_s)) @ view.rotation.T * (0.5 * exposure_s)
     if view.camera.fisheye is None:
         ahead = (local[:, 2] - np.abs(half[:, 2])) > LEAST_AHEAD_M
-        drops, local, half = drops[ahead], local[ahead], half[ahead]
+        drops, local, half, light = drops[ahead], local[ahead], half[ahead], light[ahead]
     distance = np.linalg.norm(local, axis=1)
     if view.camera.fisheye is None:
         scale = view.scale_px * (distance / local[:, 2]) ** 1.5
@@ -187,12 +225,13 @@ def streaks_of(drops: Drops, view: Projection, exposure_s: float, aperture_m: fl
         width,
         scale * aperture_m * np.abs(1.0 / distance - 1.0 / focus_m),
         distance,
+        light,
     )
 
 
-def light_on_drops(rendered: Rendered) -> FloatArray:
+def light_on_drops(rendered: Rendered, scene: SceneDict, lamps: Sequence[Lamp]) -> FloatArray:
     """(H, W, C) radiance of drops: what the medium sends to the camera over the share that it stops, a mean around each
-    pixel; the picture's mean where a model tells no airlight apart.
+    pixel, without what lamps send by way of it; the picture's mean where a model tells no airlight apart.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -202,8 +241,14 @@ def light_on_drops(rendered: Rendered) -> FloatArray:
         return np.broadcast_to(picture.mean(axis=(0, 1)), picture.shape)
     spread = AROUND * picture.shape[1]
     stopped = gaussian_filter(1.0 - rendered.aovs.transmittance, spread)
-    planes = [gaussian_filter(np.maximum(plane, 0.0), spread) for plane in np.moveaxis(total(airlight), 2, 0)]
-    return np.stack([plane / np.maximum(stopped, 1e-6) for plane in planes], axis=2).astype(np.float32)
+    sent = np.maximum(total(airlight), 0.0)
+    if lamps:
+        medium = next(volume.medium for volume in _around(scene) if volume.medium.falls)
+        lines = Sightlines.of(scene.camera, lamps, medium, FARTHEST_M)
+        share = medium.albedo * (1.0 - np.exp(-medium.sigma_t_per_m * lines.ends_m))
+        sent = sent - lines.sum(share, rendered.aovs.distance_m)
+    planes = [gaussian_filter(plane, spread) for plane in np.moveaxis(sent, 2, 0)]
+    return np.stack([np.maximum(plane, 0.0) / np.maximum(stopped, 1e-6) for plane in planes], axis=2).astype(np.float32)
 
 
 def _lens(camera: Camera, graph: NodeGraph) -> tuple[float, float]:
@@ -226,11 +271,8 @@ def _half_angle(camera: Camera) -> float:
     return float(np.where(np.isnan(angles), reach, angles).max())
 
 
-def _free(falls: Sequence[Streaks], shutter: Shutter, distance_m: FloatArray) -> FloatArray:
-    """(H, W, 1) share of each pixel that no drop covers."""
-    from synfog_usd.camera.streaks import left_free
+def _depth(falls: Sequence[Streaks], shutter: Shutter, distance_m: FloatArray) -> FloatArray:
+    """`depth_of` all kinds of drops together."""
+    from synfog_usd.camera.streaks import depth_of
 
-    free = np.ones(distance_m.shape, np.float32)
-    for streaks in falls:
-        free *= left_free(streaks, shutter, distance_m)
-    return free[:, :, None]
+    return total([depth_of(streaks, shutter, distance_m) for streaks in falls])

@@ -5,18 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from synfog_usd.camera.streaks import Shutter, Streaks, left_free
+from synfog_usd.camera.streaks import Shutter, Streaks, depth_of
 
 SKY = np.full((120, 80), np.inf, np.float32)
 
 
 def one(place=(40.0, 60.0), speed=(0.0, 0.0), width=0.5, blur=0.0, distance=5.0):
     area = math.pi / 4 * width**2
-    return Streaks(*(np.array([value], dtype=float) for value in (place, speed, area, width, blur, distance)))
+    values = (np.array([value], dtype=float) for value in (place, speed, area, width, blur, distance))
+    return Streaks(*values, np.zeros((1, 0)))
 
 
 def cover(streaks, shutter, distance=SKY):
-    return 1.0 - left_free(streaks, shutter, distance).astype(float)
+    return 1.0 - np.exp(-depth_of(streaks, shutter, distance)[:, :, 0].astype(float))
 
 
 def test_a_streak_is_as_long_as_exposure_times_speed():
@@ -87,8 +88,8 @@ def test_many_drops_leave_the_exponential_of_what_they_cover(width, blur, depth,
         place = rng.random((count, 2)) * (180, 220) - 50
         speed = np.column_stack([rng.normal(0.0, 100.0, count), rng.normal(1000.0, 150.0, count)])
         same = np.ones(count)
-        streaks = Streaks(place, speed, area * same, width * same, blur * same, 5.0 * same)
-        free.append(left_free(streaks, Shutter(0.02, readout_s=0.01), SKY).mean(dtype=float))
+        streaks = Streaks(place, speed, area * same, width * same, blur * same, 5.0 * same, np.zeros((len(same), 0)))
+        free.append(np.exp(-depth_of(streaks, Shutter(0.02, readout_s=0.01), SKY)[:, :, 0]).mean(dtype=float))
     error = np.std(free, ddof=1) / math.sqrt(len(free))
     assert 4 * error < 0.01
     assert np.mean(free) == pytest.approx(math.exp(-depth), abs=0.01 * depth + 4 * error)

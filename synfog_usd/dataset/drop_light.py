@@ -1,0 +1,164 @@
+"""What lamps send to a camera by way of drops: each by its place, its beam and the phase function of the drop.
+
+Takes the lamps of a scene; gives the radiance of drops at places, and its mean along lines of sight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.fog.falling import NEAR_M
+from synfog_usd.fog.medium import FogMedium
+from synfog_usd.scene import Camera, SceneDict
+
+SMALL_M = 1.0
+"""Width of a lit surface up to which it is taken for a lamp; lit windows count as the light around."""
+
+LEAST_M = 0.3
+"""Distance from a lamp below which its light does not grow."""
+
+EVERY_PX, STEPS, FARTHEST_M = 8, 48, 300.0
+"""Pixels from one line of sight to the next, its steps, and how far it goes [m]."""
+
+BATCH = 1 << 18
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp as a point.
+
+    Attributes:
+        place: (3,) [m].
+        sent: from (N, 3) unit directions away from it to (N, 3) intensity [cd].
+    """
+
+    place: Array
+    sent: Callable[[Array], Array]
+
+
+def lamps_of(scene: SceneDict) -> list[Lamp]:
+    """Spots, points, lamps with photometry and small lit surfaces of a scene."""
+    from synfog_usd.render.lights import photometric, rows
+
+    lamps = []
+    for part in scene.world.values():
+        if not rows.is_sampled_light(part):
+            continue
+        block = rows.lamp_rows(part)
+        if part["type"] == "mesh":
+            block = _as_one(block, np.asarray(part["positions"], dtype=np.float64))
+        table = photometric.table_of(part) if part["type"] == photometric.TYPE else None
+        if len(block):
+            lamps.append(Lamp(block["position"][0].copy(), _sender(block, table)))
+    return lamps
+
+
+def _as_one(faces: np.ndarray, points: Array) -> np.ndarray:
+    """One row for the faces of a small surface; none for a large or a dark one."""
+    weight = faces["colour"].sum(axis=1)
+    if not weight.sum() > 0.0 or np.ptp(points, axis=0).max() > SMALL_M:
+        return faces[:0]
+    row = faces[:1].copy()
+    row["position"] = np.average(faces["position"] + (faces["edge_u"] + faces["edge_v"]) / 3.0, axis=0, weights=weight)
+    axis = np.average(faces["axis"], axis=0, weights=weight)
+    lean = float(np.linalg.norm(axis))
+    if lean < 0.5:  # it shines all around
+        row["colour"], row["is_beam"], row["cutoff"], row["slope"] = faces["colour"].sum(axis=0) / 4.0, 1.0, 1e9, 1.0
+    else:
+        row["colour"], row["axis"] = faces["colour"].sum(axis=0), axis / lean
+    return row
+
+
+def _sender(rows: np.ndarray, table: Array | None) -> Callable[[Array], Array]:
+    from scipy.ndimage import map_coordinates
+
+    first, colours = rows[0], rows["colour"]
+
+    def sent(ways: Array) -> Array:
+        cosine = np.clip(ways @ first["axis"], -1.0, 1.0)
+        if table is not None:
+            across = np.cross(first["axis"], first["table_x"])
+            around = np.arctan2(ways @ across, ways @ first["table_x"]) / (2.0 * np.pi) % 1.0
+            at = np.stack([np.arccos(cosine) / np.pi * (len(table) - 1), around * table.shape[1]])
+            closed = np.concatenate([table, table[:, :1]], axis=1)
+            parts = np.moveaxis(closed, 2, 0)
+            factor = np.stack([map_coordinates(part, at, order=1, mode="nearest") for part in parts], axis=1)
+            return np.asarray(factor / np.maximum(table.max(axis=(0, 1)), 1e-30) @ colours)
+        if first["is_beam"] > 0.5:
+            beam = np.clip((first["cutoff"] - np.arccos(cosine)) * first["slope"], 0.0, 1.0)
+            return np.asarray(beam[:, None] * colours[0])
+        return np.asarray(np.maximum(cosine, 0.0)[:, None] * colours[0])
+
+    return sent
+
+
+def scattered(lamps: Sequence[Lamp], places: Array, to_eye: Array, medium: FogMedium) -> Array:
+    """(N, 3) radiance [cd m-2] of what stops all light at places: each lamp's, once scattered.
+
+    A drop of cross-section A sends A p(angle) E, E = I / r^2 exp(-sigma_t r), and covers A of what is behind it.
+
+    Args:
+        places: (N, 3) in the scene [m].
+        to_eye: (N, 3) unit directions to the camera.
+        medium: whose phase function p [1/sr] and extinction sigma_t [1/m] are taken, as of an even one.
+    """
+    result = np.zeros((len(places), 3))
+    for lamp in lamps:
+        for begin in range(0, len(places), BATCH):
+            some = slice(begin, begin + BATCH)
+            way = places[some] - lamp.place
+            far = np.linalg.norm(way, axis=1)
+            way /= np.maximum(far, 1e-9)[:, None]
+            part = medium.phase_function.value(np.einsum("ij,ij->i", way, to_eye[some]))
+            part *= np.exp(-medium.sigma_t_per_m * far) / np.maximum(far, LEAST_M) ** 2
+            result[some] += lamp.sent(way) * part[:, None]
+    return result
+
+
+@dataclass(frozen=True)
+class Sightlines:
+    """Lines of sight through a picture, coarser than its pixels, and what lamps send along them.
+
+    Attributes:
+        ends_m: (K + 1,) distances between which the steps lie [m].
+        light: (h, w, K, 3) radiance of drops in the middle of each step [cd m-2].
+        shape: (H, W) of the picture.
+    """
+
+    ends_m: Array
+    light: Array
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, camera: Camera, lamps: Sequence[Lamp], medium: FogMedium, reach_m: float) -> Sightlines:
+        """Those of a camera, up to a distance, see `scattered`."""
+        height, width = camera.height_px, camera.width_px
+        rows, columns = (max(2, -(-count // EVERY_PX)) for count in (height, width))
+        grid = np.stack(np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows), axis=-1)
+        ends = np.geomspace(NEAR_M, reach_m, STEPS + 1)
+        middle = 0.5 * (ends[1:] + ends[:-1])
+        ways = np.nan_to_num(camera.directions(grid))
+        places = camera.to_world[:3, 3] + ways[:, :, None, :] * middle[:, None]
+        to_eye = np.broadcast_to(-ways[:, :, None, :], places.shape).reshape(-1, 3)
+        light = scattered(lamps, places.reshape(-1, 3), to_eye, medium)
+        return cls(ends, light.reshape(*places.shape), (height, width))
+
+    def sum(self, depth: Array, distance_m: Array | FloatArray) -> FloatArray:
+        """(H, W, 3) sum of light over steps, each times its part of a (K + 1,) `depth` that grows with the distances
+        `ends_m`, up to what each pixel shows.
+        """
+        from scipy.ndimage import map_coordinates
+
+        until = np.cumsum(self.light * np.diff(depth)[:, None], axis=2)
+        until = np.concatenate([np.zeros_like(until[:, :, :1]), until], axis=2)
+        rows, columns = until.shape[:2]
+        height, width = self.shape
+        row, column = np.mgrid[:height, :width] + 0.5
+        deep = np.interp(distance_m, self.ends_m, np.arange(len(self.ends_m)))
+        at = np.stack([row * rows / height - 0.5, column * columns / width - 0.5, deep])
+        planes = [map_coordinates(part, at, order=1, mode="nearest") for part in np.moveaxis(until, 3, 0)]
+        return np.stack(planes, axis=2).astype(np.float32)
