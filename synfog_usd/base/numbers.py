@@ -203,6 +203,15 @@ def _fault_of(kind: str, number: str | None, more: str) -> str:
     return ""
 
 
+def variant_of(name: str) -> str:
+    """The variant of a stage that is a fog's, whose name USD could not take.
+
+    >>> variant_of("rain2.5+mor300"), variant_of("mor150")
+    ('rain2_5-mor300', 'mor150')
+    """
+    return name.replace("+", "-").replace(".", "_")
+
+
 def check_visibility(name: str, metres: float) -> None:
     """Refuse a fog that is denser than any.
 

@@ -247,6 +247,9 @@ class ComposeWords:
     seed: Annotated[int, typer.Option(help="The same seed gives the same stage.")]
     out: Annotated[Path, typer.Option("--out", "-o", help="Stage to write (.usda, .usdc, .usd).")]
     change: options.Changes = None
+    fog: Annotated[
+        str, typer.Option(help="Fogs and weather instead of the recipe's, comma-separated: 600, rain10, snow2+mor400.")
+    ] = ""
     seconds: Annotated[
         float | None, typer.Option(help="Length of a clip in which traffic and people move [s]; 0 for a still.")
     ] = None

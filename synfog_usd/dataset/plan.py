@@ -275,11 +275,10 @@ def shots(plan: BakePlan, variants: Mapping[str, Sequence[str]]) -> tuple[Shot, 
     result = []
     for lighting in lights:
         for fog in fogs:
-            lit, offered = lighting in variants.get("lighting", ()), fog in variants.get("fog", ())
-            override = None if offered else Fog.named(fog)
-            result.append(
-                Shot(lighting, fog, lighting if lit else None, fog if offered else None, override, plan.by_lighting)
-            )
+            lit = lighting in variants.get("lighting", ())
+            variant = next((name for name in (fog, numbers.variant_of(fog)) if name in variants.get("fog", ())), None)
+            override = None if variant else Fog.named(fog)
+            result.append(Shot(lighting, fog, lighting if lit else None, variant, override, plan.by_lighting))
     folders: dict[str, str] = {}
     for shot in result:
         if folders.setdefault(shot.folder.casefold(), shot.folder) != shot.folder:

@@ -114,7 +114,15 @@ class Scenes:
         camera is guessed.
         """
         all_notes = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
-        return tuple(dict.fromkeys([*all_notes, *_guessed(self.graph)]))
+        return tuple(dict.fromkeys([*all_notes, *_dry(todo), *_guessed(self.graph)]))
+
+
+def _dry(todo: Sequence[Shot]) -> list[Note]:
+    from synfog_usd.base.notes import Note
+
+    rained = dict.fromkeys(shot.fog for shot in todo if shot.fog_override and "rain" in shot.fog_override.rates)
+    text = "wets nothing: the stage has no fog variant of that name; `compose --fog` draws one with a wet road"
+    return [Note("info", "", f"{fog} {text}") for fog in rained]
 
 
 def _guessed(graph: NodeGraph | None) -> list[Note]:

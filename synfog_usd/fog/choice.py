@@ -125,6 +125,11 @@ class Fog:
         return [(medium.kind, medium.rate_mm_h) for medium in (self, *self.also)]
 
     @property
+    def rates(self) -> dict[str, float]:
+        """'rain', 'snow' -> rate of what falls [mm/h of water]."""
+        return {fog.kind: fog.rate_mm_h for fog in (self, *self.also) if fog.kind and fog.rate_mm_h is not None}
+
+    @property
     def name(self) -> str:
         """Its name: 'clear', 'mor150', 'mor150_g0.8', 'rain10+mor400'."""
         if self.clear:

@@ -12,6 +12,8 @@ import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.fog import Fog
+from synfog_usd.fog.kinds import FOG
 from synfog_usd.world import skies
 from synfog_usd.world.components import label
 from synfog_usd.world.library import model
@@ -180,8 +182,8 @@ def upright(turns: Array) -> Vt.QuathArray:
     return Vt.QuathArray([Gf.Quath(float(c), 0, 0, float(s)) for c, s in zip(np.cos(half), np.sin(half), strict=True)])
 
 
-def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], selected: str) -> None:
-    """A variant of /World for each visibility [m] of /World/Fog/Global; None is clear air."""
+def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | str | None], selected: str) -> None:
+    """A variant of /World for each visibility [m], or weather, of /World/Fog/Global; None is clear air."""
     variants = stage.GetPrimAtPath("/World").GetVariantSets().AddVariantSet("fog")
     for name, mor_m in fogs.items():
         variants.AddVariant(name)
@@ -189,6 +191,8 @@ def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], sele
         with variants.GetVariantEditContext():
             if mor_m is None:
                 stage.OverridePrim("/World/Fog").SetActive(False)
+            elif isinstance(mor_m, str):
+                _author_weather(stage.OverridePrim("/World/Fog/Global"), mor_m)
             else:
                 stage.OverridePrim("/World/Fog/Global").CreateAttribute(
                     "synfog:fog:mor", Sdf.ValueTypeNames.Float, custom=False
@@ -196,8 +200,22 @@ def author_fog_variants(stage: Usd.Stage, fogs: Mapping[str, float | None], sele
     variants.SetVariantSelection(selected)
 
 
+def _author_weather(prim: Usd.Prim, name: str) -> None:
+    """The attributes of a medium by the name of its weather."""
+    first, _, also = name.partition("+")
+    fog = Fog.named(first)
+    assert fog is not None
+    kinds, number = Sdf.ValueTypeNames, "synfog:fog:mor" if fog.rate_mm_h is None else "synfog:medium:rate"
+    prim.CreateAttribute("synfog:medium:kind", kinds.Token, False, Sdf.VariabilityUniform).Set(fog.kind or FOG)
+    prim.CreateAttribute(number, kinds.Float, custom=False).Set(fog.mor_m if fog.rate_mm_h is None else fog.rate_mm_h)
+    if also:
+        prim.CreateAttribute("synfog:medium:also", kinds.String, custom=False).Set(also)
+
+
 def author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
-    """The fog variants, and the lightings: day without lamps, dusk with them."""
+    """The fog variants, and the lightings: day without lamps, or with those of traffic where rain or snow falls, and
+    dusk with all.
+    """
     author_fog_variants(stage, spec.fog, spec.fog_selected)
     world = stage.GetPrimAtPath("/World")
     lighting = world.GetVariantSets().AddVariantSet("lighting")
@@ -208,6 +226,10 @@ def author_variants(stage: Usd.Stage, spec: WorldSpec) -> None:
             if name == "sky":
                 stage.OverridePrim("/World/Sky/Dusk").SetActive(False)
                 stage.OverridePrim("/World/Lights").SetActive(False)
+                for p in spec.placed if spec.falls else ():
+                    if p.lit and p.group == "Vehicles" and "glow" in model(p.asset).variants.get("lamps", ()):
+                        prim = stage.OverridePrim(f"/World/{p.group}/{p.name}")
+                        prim.GetVariantSets().GetVariantSet("lamps").SetVariantSelection("glow")
                 continue
             stage.OverridePrim(f"/World/Sky/{_day(spec.day)}").SetActive(False)
             for p in spec.placed:

@@ -181,7 +181,7 @@ def author_material(stage: Usd.Stage, path: Sdf.Path, material: Material, *, tex
         put("metallic", Sdf.ValueTypeNames.Float, material.metallic)
     if material.clearcoat:
         put("clearcoat", Sdf.ValueTypeNames.Float, material.clearcoat)
-        put("clearcoatRoughness", Sdf.ValueTypeNames.Float, 0.03)
+        put("clearcoatRoughness", Sdf.ValueTypeNames.Float, material.clearcoat_roughness)
     put("ior", Sdf.ValueTypeNames.Float, material.ior)
     if material.opacity < 1.0:
         put("opacity", Sdf.ValueTypeNames.Float, material.opacity)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from pxr import Sdf, Tf
 from synfog_usd.base import resources, values
 from synfog_usd.base.errors import OutputError, RecipeError
 from synfog_usd.base.files import write_whole
+from synfog_usd.base.yamlio import load_text
 from synfog_usd.world import parameters
-from synfog_usd.world.language import Draws, Recipe, load_root
+from synfog_usd.world.language import Draws, Recipe, load_root, read_fog
 from synfog_usd.world.roads import crossing_recipe, roundabout_recipe, stage
 from synfog_usd.world.roads import recipe as road_recipe
 from synfog_usd.world.roads.traffic import speed_m_s
@@ -64,6 +66,7 @@ def compose(
     *,
     seed: int = 0,
     change: Mapping[str, Any] | Sequence[str] = (),
+    fog: str | Sequence[str | int] = (),
     seconds: float | None = None,
     fps: float | None = None,
     traffic: str | os.PathLike[str] | None = None,
@@ -82,6 +85,7 @@ def compose(
         path: the stage, .usda, .usdc or .usd.
         seed: the same gives the same bytes in the same place.
         change: {'section.key': value}, or 'section.key=value' each, over what stands in the recipe.
+        fog: instead of the recipe's: visibilities [m] and weather by name, as 'rain10,600' or ['rain10', 600].
         seconds: of the clip [s], 0 to 120; None for what the recipe's `time` says, and 0 for a still.
         fps: frames a second, 1 to 240; None for what the recipe's `time` says.  Of clips alone.
         traffic: FCD of SUMO (.xml) that drives and walks in place of what the recipe draws; it may say `seconds`.
@@ -101,7 +105,7 @@ def compose(
     out_roads = None if opendrive is None else _output(opendrive, "--opendrive", "OpenDRIVE", ".xodr")
     recorded = read_fcd(values.path_of(traffic, "--traffic")) if traffic is not None else None
     seconds = seconds_of(recorded) if recorded and seconds is None else seconds
-    chosen = load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps))
+    chosen = _in_fogs(load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps)), fog)
     weather = None if environment is None else scenario.read(values.path_of(environment, "--environment"))
     if weather:
         chosen = scenario.at_its_hour(chosen, weather)
@@ -173,6 +177,13 @@ def _refuse_in_stills(options: Mapping[str, object]) -> None:
     """
     if names := [name for name, value in options.items() if value is not None]:
         raise RecipeError(f"{' and '.join(names)}: for a clip, and this is a still; add --seconds")
+
+
+def _in_fogs(recipe: Recipe, fog: str | Sequence[str | int]) -> Recipe:
+    """A recipe with other fogs, where some are asked for."""
+    parts = fog.split(",") if isinstance(fog, str) else [str(part) for part in fog]
+    listed = json.dumps([int(part) if part.isdigit() else part.strip() for part in parts])
+    return replace(recipe, fog=read_fog({"fog": load_text(listed, name="--fog", error=RecipeError)})) if fog else recipe
 
 
 def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, fps: float | None) -> list[str]:

@@ -17,9 +17,11 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import special
 
-from synfog_usd.base.errors import RecipeError, did_you_mean
+from synfog_usd.base.errors import ParameterError, RecipeError, did_you_mean
+from synfog_usd.base.numbers import fog_words, variant_of
 from synfog_usd.base.seeds import stream
 from synfog_usd.base.yamlio import Located, Place, load_file, load_text
+from synfog_usd.fog import Fog
 
 SCHEMA = "recipe/1"
 FOG_DEFAULT = (600, 300, 150)
@@ -51,6 +53,7 @@ Value = float | str | None
 """Of a parameter; None where a recipe does without."""
 
 FOG = Continuous(10, 20000, None, "visibility (MOR) [m]", whole=True)
+WEATHER = "a visibility [m], weather by name as rain10, or {choice: {rain10: 2, snow2: 1}}"
 
 
 def weighted(rng: np.random.Generator, options: Sequence[Option], weights: Sequence[float]) -> Option:
@@ -124,7 +127,7 @@ class Recipe:
     Attributes:
         name: of its file; world: one of `parameters.WORLDS`; about: one sentence.
         distributions: one for each parameter of its world.
-        fog: one for each fog variant, MOR [m]; clear air is always there.
+        fog: one for each fog variant, MOR [m] or the name of weather; clear air is always there.
         rows: props, in the order of precedence.
         lanes: (kind, width [m], way) of a road's lane section from left to right.
     """
@@ -137,10 +140,12 @@ class Recipe:
     rows: tuple[Row, ...] = ()
     lanes: tuple[tuple[str, Distribution, int], ...] = ()
 
-    def fog_variants(self, seed: int) -> dict[str, float | None]:
-        """Variant -> MOR [m], the clearest first; None is clear air."""
-        mors = {mor.number(stream(seed, "recipe", "fog", index)) for index, mor in enumerate(self.fog)}
-        return {"clear": None, **{f"mor{mor}": float(mor) for mor in sorted(mors, reverse=True)}}
+    def fog_variants(self, seed: int) -> dict[str, float | str | None]:
+        """Variant -> MOR [m], the clearest first, and then the names of other weather; None is clear air."""
+        values = [fog(stream(seed, "recipe", "fog", index)) for index, fog in enumerate(self.fog)]
+        mors = {value for value in values if isinstance(value, int | float)}
+        named = {variant_of(value): value for value in values if isinstance(value, str)}
+        return {"clear": None, **{f"mor{mor}": float(mor) for mor in sorted(mors, reverse=True)}, **named}
 
 
 @dataclass(frozen=True)
@@ -179,9 +184,9 @@ class Draws:
         """A parameter that is a whole number."""
         return int(self.number(name, *index))
 
-    def word(self, name: str) -> str:
-        """A parameter that is a name."""
-        return self.recipe.distributions[name].word(self.stream(name))
+    def word(self, name: str, among: Sequence[str] | None = None) -> str:
+        """A parameter that is a name, of those in `among` where some are, see `Distribution`."""
+        return self.recipe.distributions[name].word(self.stream(name), among)
 
 
 def load_root(path: Path, changes: Sequence[str] = ()) -> Located:
@@ -241,10 +246,27 @@ def read_fog(items: Mapping[str, Located]) -> tuple[Distribution, ...]:
     listed = items["fog"]
     if not isinstance(listed.value, list) or not listed.value:
         raise RecipeError(
-            f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres, as in [600, 300, "
-            f"150]"
+            f"{listed.place}: fog is {listed.plain()!r}; it takes a list of visibilities in metres and names of "
+            f"weather, as in [600, 150, rain10]"
         )
-    return tuple(read_distribution(item, "fog", FOG) for item in listed.value)
+    return tuple(_read_fog(item) for item in listed.value)
+
+
+def _read_fog(item: Located) -> Distribution:
+    """One draw of fog or other weather."""
+    choice = isinstance(item.value, dict) and "choice" in item.value
+    if not choice and not isinstance(item.value, str):
+        return read_distribution(item, "fog", FOG)
+    names = item.value["choice"].value if choice else {item.value: item}
+    for name in names if isinstance(names, dict) else ():
+        words = fog_words(name) if isinstance(name, str) else None
+        if words is None or any(more for *_, more in words):
+            raise RecipeError(f"{item.place}: fog has no {name!r}; it takes {WEATHER}")
+        try:
+            Fog.named(name)
+        except ParameterError as problem:
+            raise RecipeError(f"{item.place}: {problem}") from problem
+    return read_distribution(item, "fog", Categorical(tuple(names), None))
 
 
 def mapping(item: Located, what: str, allowed: Sequence[str]) -> dict[str, Located]:

@@ -26,7 +26,7 @@ class Material:
         metallic: 0 to 1.
         texture: file name of a colour texture, or ''.
         gloss: file name of a roughness texture, or ''; gloss_factor: on it.
-        clearcoat: 0 to 1.
+        clearcoat: 0 to 1; clearcoat_roughness: as `roughness`.
         ior: index of refraction.
         emission: radiance [cd m-2], linear, or a factor on `emission_texture`.
         emission_texture: file name, or ''.
@@ -50,6 +50,7 @@ class Material:
     gloss_factor: float = 1.0
     spectrum: str = ""
     columns: int = 1
+    clearcoat_roughness: float = 0.03
 
 
 WHITE = (1.0, 1.0, 1.0)

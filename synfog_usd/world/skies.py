@@ -23,6 +23,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux
 from synfog_usd.base import resources
 from synfog_usd.base.errors import ParameterError, did_you_mean
 
+OVERCAST = {
+    "day": ("rain", "overcast_noon", "stratus_winter", "storm_front", "overcast"),
+    "dusk": ("dusk_overcast", "deep_dusk", "night_glow", "dusk"),
+}
+"""Skies from which rain and snow fall."""
+
 
 @dataclass(frozen=True)
 class Sky:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy.typing as npt
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.fog import Fog
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,12 @@ class Site(Protocol):
         """Height of the ground [m] at places."""
 
 
+def falls(fogs: Mapping[str, float | str | None]) -> dict[str, Fog]:
+    """Variants of the fog in which rain or snow falls."""
+    named = {variant: Fog.named(name) for variant, name in fogs.items() if isinstance(name, str)}
+    return {variant: fog for variant, fog in named.items() if fog is not None and fog.rates}
+
+
 @dataclass(frozen=True)
 class WorldSpec:
     """Everything that decides a stage.
@@ -114,7 +121,7 @@ class WorldSpec:
         about: one sentence, the stage's documentation.
         placed: whatever stands in the streets.
         view: the camera.
-        fog: variant name -> visibility (MOR) [m], None for clear air.
+        fog: variant name -> visibility (MOR) [m], the name of other weather, or None for clear air.
         fog_selected: the variant that an opened stage shows.
         day, dusk: the two skies.
         scatter: number of the streams that strew leaves and light windows.
@@ -128,7 +135,7 @@ class WorldSpec:
     about: str
     placed: tuple[Placement, ...]
     view: View
-    fog: Mapping[str, float | None]
+    fog: Mapping[str, float | str | None]
     fog_selected: str
     day: SkyDome
     dusk: SkyDome
@@ -138,6 +145,11 @@ class WorldSpec:
     built: Mapping[str, Any] = field(default_factory=dict)
     rig: tuple[RigCamera, ...] = ()
     products: bool = True
+
+    @property
+    def falls(self) -> dict[str, Fog]:
+        """Variants of the fog in which rain or snow falls."""
+        return falls(self.fog)
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it: mappings, lists, numbers and texts."""

@@ -16,6 +16,7 @@ from synfog_usd.base.seeds import seed32, stream
 from synfog_usd.dataset.sets import offers
 from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS, SetDefinition, Source, Split
 from synfog_usd.dataset.sets.layout import Unit
+from synfog_usd.fog import Fog
 from synfog_usd.world.language import Distribution, Recipe
 
 
@@ -220,6 +221,13 @@ def held_out(definition: SetDefinition, source: Source, split: Split) -> Recipe:
         distributions=without_held(recipe.distributions),
         rows=tuple(replace(row, distributions=without_held(row.distributions)) for row in recipe.rows),
     )
+
+
+def with_weather(recipe: Recipe, fogs: Sequence[str]) -> Recipe:
+    """A recipe that draws a variant for the rain and the snow of a scene, in which its road is wet."""
+    named = {name: Fog.named(name) for name in fogs}
+    falling = tuple(Distribution("fixed", (name,)) for name, fog in named.items() if fog is not None and fog.rates)
+    return replace(recipe, fog=(*recipe.fog, *falling)) if falling else recipe
 
 
 def _without(distribution: Distribution, gone: frozenset[str], what: str, split: Split) -> Distribution:

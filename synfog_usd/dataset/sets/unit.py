@@ -22,7 +22,7 @@ from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Exposing, Samplin
 from synfog_usd.dataset.sets import layout
 from synfog_usd.dataset.sets.definition import SetDefinition, exposed
 from synfog_usd.dataset.sets.layout import Unit
-from synfog_usd.dataset.sets.scenes import PlannedScene, held_out, scene
+from synfog_usd.dataset.sets.scenes import PlannedScene, held_out, scene, with_weather
 
 if TYPE_CHECKING:
     from synfog_usd.base.image import Image
@@ -197,7 +197,8 @@ def _drawn(
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written ({error.strerror})") from error
         with reading():
-            spec = draw(held_out(definition, planned.source, planned.split), seed=planned.seed)
+            recipe = with_weather(held_out(definition, planned.source, planned.split), planned.fogs)
+            spec = draw(recipe, seed=planned.seed)
             spec = replace(spec, origin={**spec.origin, "set": definition.name, "scene": str(planned.number)})
             shown = {
                 "models": sorted({placement.asset for placement in spec.placed}),

@@ -90,8 +90,12 @@ def wet_albedo(dry: float, ior: float = WATER_IOR) -> float:
     return (1 - outside) * (1 - mean) * dry / (1 - mean * dry)
 
 
-def looks(asphalt: Asphalt, materials: Mapping[str, Material]) -> dict[str, Material]:
-    """What this road's materials are, by name; those that its kind and the water leave alone are left out."""
+def looks(asphalt: Asphalt, materials: Mapping[str, Material], smooth: float | None = None) -> dict[str, Material]:
+    """What this road's materials are, by name; those that its kind and the water leave alone are left out.
+
+    Args:
+        smooth: share of the texture that water fills, 0 to 1; by default as `asphalt` is wet.
+    """
     share = WETNESS[asphalt.wet]
     result = {}
     for name in RAINED_ON:
@@ -106,7 +110,7 @@ def looks(asphalt: Asphalt, materials: Mapping[str, Material]) -> dict[str, Mate
         )
         albedo = ALBEDO.get(name, float(np.mean(base.colour))) * float(np.mean(tone))
         darker = 1.0 - share * (1.0 - wet_albedo(albedo) / albedo)
-        smoother = 1.0 - share * FILM_SMOOTHS
+        smoother = 1.0 - (share if smooth is None else smooth) * FILM_SMOOTHS
         r, g, b = (round(c * darker, 4) for c in colour)
         rough = round(base.roughness * smoother, 4)
         result[name] = replace(

@@ -25,6 +25,7 @@ from synfog_usd.world.roads.crossing import (
 )
 from synfog_usd.world.roads.horizon import Scatter
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
+from synfog_usd.world.shapes import Part
 from synfog_usd.world.spec import Placement, View, WorldSpec
 
 
@@ -34,6 +35,20 @@ def _lit(p: Placement, view: View) -> bool:
 
 
 PANES = LitPanes("crossroads", {"window": 0.36, "shop_glass": 0.85}, _lit, facades=True)
+
+
+WET_MATERIALS = {
+    "/World/Ground/Road/Materials": (
+        "asphalt_lane", "asphalt", "asphalt_old", "tar", "asphalt_patch", "iron", "marking",
+    ),
+    "/World/Ground/Pavement/Materials": ("paving", "kerb"),
+}  # fmt: skip
+"""Scope -> materials in it that rain wets."""
+
+
+def water(spec: WorldSpec, crossing: Crossing, rate_mm_h: float) -> list[Part]:
+    """No water stands on it."""
+    return []
 
 
 def built(spec: WorldSpec, crossing: Crossing) -> list[Built]:

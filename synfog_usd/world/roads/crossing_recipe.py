@@ -13,7 +13,7 @@ from synfog_usd.world.authoring import focal_length
 from synfog_usd.world.language import Draws
 from synfog_usd.world.roads import crossing_actors, crossing_props, rules
 from synfog_usd.world.roads.crossing import Crossing
-from synfog_usd.world.roads.recipe import plated, posed, signed
+from synfog_usd.world.roads.recipe import plated, posed, selected, signed, skies_of
 from synfog_usd.world.spec import Placement, SkyDome, WorldSpec
 
 
@@ -38,6 +38,7 @@ def draw(draws: Draws) -> WorldSpec:
     people = crossing_actors.walking(draws, waits, on_pavements)
     riders = crossing_actors.cyclist(draws) if draws.whole("people.cyclists") else []
     fog = draws.recipe.fog_variants(draws.seed)
+    day, dusk = skies_of(draws, fog)
     heading_deg = round(draws.number("sky.heading_deg"), 1)
     lens_z, lens = round(draws.number("camera.height_m"), 3), focal_length(draws.number("camera.fov_x_deg"))
     return WorldSpec(
@@ -50,9 +51,9 @@ def draw(draws: Draws) -> WorldSpec:
         ),
         view=replace(crossing_props.VIEW, z=lens_z, focal_length=lens),
         fog=fog,
-        fog_selected=list(fog)[len(fog) // 2],
-        day=_dome(draws.word("sky.day"), "overcast", round(draws.number("sky.overcast_nits"), 1), heading_deg),
-        dusk=_dome(draws.word("sky.dusk"), "dusk", round(draws.number("sky.dusk_nits"), 3), heading_deg),
+        fog_selected=selected(fog),
+        day=_dome(day, "overcast", round(draws.number("sky.overcast_nits"), 1), heading_deg),
+        dusk=_dome(dusk, "dusk", round(draws.number("sky.dusk_nits"), 3), heading_deg),
         road=Crossing(),
         scatter=seed32(draws.seed, "recipe", "scatter"),
         origin={"recipe": draws.recipe.name, "seed": str(draws.seed)},

@@ -26,7 +26,8 @@ from synfog_usd.world.roads.lane_section import Lane, LaneSection
 from synfog_usd.world.roads.network import Land, Road
 from synfog_usd.world.roads.props import numbered
 from synfog_usd.world.roads.reference_line import ReferenceLine, bends
-from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec
+from synfog_usd.world.skies import OVERCAST
+from synfog_usd.world.spec import Placement, RigCamera, SkyDome, View, WorldSpec, falls
 
 NEAREST_LIT, NEAREST_LAMPS = 6, 8
 """Vehicles and street lamps that are lights at dusk; those beyond glow.  Each light costs noise in every pixel."""
@@ -105,16 +106,16 @@ def assembled(
     heading, gain = round(draws.number("sky.heading_deg"), 1), round(draws.number("sky.gain"), 3)
     placed = plated(numbered([_coarser(p, view) for p in _lit(placements, view)]), draws.stream("plates"))
     placed = signed(posed(placed, draws.stream("individuals")), view, draws.stream("shops"))
-    day = draws.word("sky.day")
     fogs = draws.recipe.fog_variants(draws.seed)
+    day, dusk = skies_of(draws, fogs)
     return WorldSpec(
         about=f"{draws.recipe.about} Drawn from {draws.recipe.name} with seed {draws.seed}.",
         placed=tuple(placed),
         view=view,
         fog=fogs,
-        fog_selected=list(fogs)[len(fogs) // 2],
+        fog_selected=selected(fogs),
         day=SkyDome(day, gain, heading),
-        dusk=SkyDome(draws.word("sky.dusk"), gain, heading),
+        dusk=SkyDome(dusk, gain, heading),
         scatter=seed32(draws.seed, "recipe", "scatter"),
         origin={"recipe": draws.recipe.name, "seed": str(draws.seed)},
         road=road,
@@ -126,9 +127,26 @@ def assembled(
             "grass": draws.word("land.grass"),
             "horizon": draws.word("land.horizon"),
             "headlights": draws.word("camera.headlights"),
-            "asphalt": Asphalt(draws.word("road.asphalt"), "wet" if day == "rain" else draws.word("road.wet")),
+            "asphalt": Asphalt(
+                draws.word("road.asphalt"), "wet" if day == "rain" and not falls(fogs) else draws.word("road.wet")
+            ),
         },
     )
+
+
+def skies_of(draws: Draws, fogs: Mapping[str, float | str | None]) -> tuple[str, str]:
+    """Skies by day and at dusk: where rain or snow falls in one of the fogs, overcast ones if the recipe has any."""
+
+    def sky(time: str) -> str:
+        offered = draws.recipe.distributions[f"sky.{time}"].values
+        return draws.word(f"sky.{time}", OVERCAST[time] if falls(fogs) and set(offered) & set(OVERCAST[time]) else None)
+
+    return sky("day"), sky("dusk")
+
+
+def selected(fogs: Mapping[str, float | str | None]) -> str:
+    """The variant of the fog that an opened stage shows: rain or snow where there is any."""
+    return next(iter(falls(fogs)), list(fogs)[len(fogs) // 2])
 
 
 def plated(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placement]:

@@ -10,10 +10,15 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.world.roads import horizon, land, lanes, markings, rules, structures, surface, works
+from synfog_usd.world.roads.asphalt import RAINED_ON
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.structures import Built, Instanced, LitPanes
+from synfog_usd.world.roads.water import standing
+from synfog_usd.world.shapes import Part
 from synfog_usd.world.spec import Placement, View, WorldSpec
 
+WET_MATERIALS = {"/World/Road/Materials": RAINED_ON}
+"""Scope -> materials in it that rain wets."""
 LIT_M = 170.0
 """How far windows are lit, from the camera."""
 TUFTS_M, MEADOW_M = 45.0, 110.0
@@ -56,6 +61,11 @@ def built(spec: WorldSpec, road: Road) -> list[Built]:
     if road.land.hill:
         whole += structures.tunnel(road)
     return whole
+
+
+def water(spec: WorldSpec, road: Road, rate_mm_h: float) -> list[Part]:
+    """What stands on the road in rain."""
+    return [surface.bend(part, road) for part in standing(road, spec.built["asphalt"], rate_mm_h, seed=spec.scatter)]
 
 
 def _horizon(spec: WorldSpec, road: Road) -> horizon.Horizon:

@@ -5,11 +5,19 @@ from __future__ import annotations
 from synfog_usd.world.roads import lanes, roundabout_markings, roundabout_surface
 from synfog_usd.world.roads.horizon import Horizon, Scatter
 from synfog_usd.world.roads.road_built import PANES as PANES
+from synfog_usd.world.roads.road_built import WET_MATERIALS as WET_MATERIALS
 from synfog_usd.world.roads.road_built import instanced as instanced
 from synfog_usd.world.roads.roundabout import Roundabout
 from synfog_usd.world.roads.roundabout_surface import LOOKS as LOOKS
 from synfog_usd.world.roads.structures import Built
+from synfog_usd.world.shapes import Part
 from synfog_usd.world.spec import WorldSpec
+
+
+def water(spec: WorldSpec, junction: Roundabout, rate_mm_h: float) -> list[Part]:
+    """What stands on the ring and the arms in rain."""
+    return roundabout_surface.water(junction, spec.built["asphalt"], rate_mm_h, spec.scatter)
+
 
 NAMES = {"road": "Carriageway", "sidewalk": "Pavement", "terrain": "Verges"}
 TUFTS_PER_M2, TUFTS_M = 2.0, 32.0

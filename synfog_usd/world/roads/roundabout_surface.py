@@ -36,6 +36,7 @@ from synfog_usd.world.roads.roundabout import (
     Roundabout,
 )
 from synfog_usd.world.roads.surface import ASPHALT_TILE_M, GRASS_TILE_M, PAVING_TILE_M, WORN, bend
+from synfog_usd.world.roads.water import standing
 from synfog_usd.world.shapes import Part, strip, textured_from_above
 
 LOOKS = {"setts": Material((0.52, 0.49, 0.47), texture="paving.jpg", roughness=0.75)}
@@ -162,6 +163,18 @@ def _water(junction: Roundabout, asphalt: Asphalt, seed: int) -> list[Part]:
             t, s, h = part.points.T
             if s.min() > junction.radius + HOLD_M:
                 parts.append(bend(replace(part, points=np.c_[t + np.sign(t) * junction.spread(s), s, h]), road))
+    return parts
+
+
+def water(junction: Roundabout, asphalt: Asphalt, rate_mm_h: float, seed: int) -> list[Part]:
+    """What stands in rain, where the puddles of a wet roundabout are."""
+    ring = standing(junction.ring, asphalt, rate_mm_h, seed=seed32(seed, "roundabout", "ring"))
+    parts = [bend(part, junction.ring) for part in ring]
+    for number, road in enumerate(junction.arms):
+        far = junction.radius + HOLD_M
+        for part in standing(road, asphalt, rate_mm_h, seed=seed32(seed, "roundabout", "arm", number), low=far):
+            t, s, h = part.points.T
+            parts.append(bend(replace(part, points=np.c_[t + np.sign(t) * junction.spread(s), s, h]), road))
     return parts
 
 

@@ -22,7 +22,7 @@ from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
 from synfog_usd.world.library import model, nominal
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built
+from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built, water
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
@@ -46,6 +46,8 @@ LIT_LOOK = {"window": ("Windows", "windows_lit.jpg", 55.0), "shop_glass": ("Shop
 KINDS: Mapping[type, Any] = {Road: road_built, Roundabout: roundabout_built, Crossing: crossing_built}
 """What a road or junction is -> the module that says what is made for it alone."""
 LANES, LANE_TYPE = "/World/Lanes", "synfog:lane:type"
+DRY = "/World/Road/Dry"
+"""Where the materials of a road are that rain changes: a variant is stronger than what a stage refers to."""
 
 
 def author(path: Path, spec: WorldSpec, *, assets: str) -> Sdf.Layer:
@@ -82,6 +84,9 @@ def _without_placements(path: Path, spec: WorldSpec, assets: str) -> Sdf.Layer:
     authoring.author_variants(stage, spec)  # early: each choice of a variant composes again what stands there
     author_lanes(stage, spec)
     _author_built(stage, spec, assets)
+    for variant, fog in spec.falls.items():
+        if "rain" in fog.rates:
+            _author_wet(stage, spec, variant, fog.rates["rain"], assets)
     authoring.author_render(stage)
     if spec.products:
         authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{eye.name}" for eye in spec.rig)])
@@ -105,10 +110,17 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
     authored: dict[str, UsdShade.Material] = {}
     paved = asphalt.looks(spec.built["asphalt"], LOOKS)
 
+    rain = any("rain" in fog.rates for fog in spec.falls.values())
+
     def bind(prim: Usd.Prim, name: str) -> None:
         if name not in authored:
-            look = paved.get(name) or LOOKS.get(name) or PALETTE[name]
-            authored[name] = author_material(stage, materials.AppendChild(name), look, textures=f"{assets}/textures/")
+            look, path = paved.get(name) or LOOKS.get(name) or PALETTE[name], materials.AppendChild(name)
+            if rain and name in asphalt.RAINED_ON:
+                author_material(stage, Sdf.Path(f"{DRY}/{name}"), look, textures=f"{assets}/textures/")
+                authored[name] = UsdShade.Material.Define(stage, path)
+                authored[name].GetPrim().GetReferences().AddInternalReference(f"{DRY}/{name}")
+            else:
+                authored[name] = author_material(stage, path, look, textures=f"{assets}/textures/")
         UsdShade.MaterialBindingAPI.Apply(prim).Bind(authored[name])
 
     for structure in solid:
@@ -119,6 +131,33 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
             bind(author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim(), name)
     for scatter in sown:
         _author_scatter(stage, scatter, bind, assets)
+
+
+def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, rate_mm_h: float, assets: str) -> None:
+    """A variant of the fog in which rain wets the road: its materials, which are stronger than the dry ones that the
+    stage refers to, and standing water.
+    """
+    kind, textures = KINDS[type(spec.road)], f"{assets}/textures/"
+    paved: asphalt.Asphalt = spec.built.get("asphalt", asphalt.Asphalt())
+    parts = by_material(kind.water(spec, spec.road, rate_mm_h))
+    choices = stage.GetPrimAtPath("/World").GetVariantSets().GetVariantSet("fog")
+    before = choices.GetVariantSelection()
+    choices.SetVariantSelection(variant)
+    with choices.GetVariantEditContext():
+        wet = water.rained_on(paved, rate_mm_h, LOOKS, spec.road if isinstance(spec.road, Road) else None)
+        for folder, names in kind.WET_MATERIALS.items():
+            for name in names:
+                if stage.GetPrimAtPath(f"{DRY}/{name}") or not folder.startswith("/World/Road"):
+                    author_material(stage, Sdf.Path(f"{folder}/{name}"), wet[name], textures=textures)
+        if parts:
+            prim = UsdGeom.Xform.Define(stage, "/World/Road/Water").GetPrim()
+            Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+            label(prim, "road")
+            look = author_material(stage, Sdf.Path("/World/Road/Water/Look"), LOOKS["puddle"], textures=textures)
+            for name, part in parts.items():
+                mesh = author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim()
+                UsdShade.MaterialBindingAPI.Apply(mesh).Bind(look)
+    choices.SetVariantSelection(before)
 
 
 def author_lanes(stage: Usd.Stage, spec: WorldSpec) -> None:
