@@ -68,9 +68,9 @@ def test_the_road_is_wet_where_it_rains_and_there_alone(stage):
 
 
 def test_rain_falls_from_an_overcast_sky_and_drivers_have_their_lamps_on(stage):
-    """The stage opens in rain of the rate, under a sky that rains, and its traffic glows by day."""
+    """The stage opens dry, its rain has its rate, its sky is overcast, and its traffic glows by day."""
     spec, usd = stage
-    assert spec.fog_selected == "rain10"
+    assert spec.fog_selected == "mor300"
     assert spec.day.sky in ("rain", "overcast_noon", "stratus_winter", "storm_front")
     select(usd, fog="rain10", lighting="sky")
     fog = usd.GetPrimAtPath("/World/Fog/Global")

@@ -145,8 +145,9 @@ def skies_of(draws: Draws, fogs: Mapping[str, float | str | None]) -> tuple[str,
 
 
 def selected(fogs: Mapping[str, float | str | None]) -> str:
-    """The variant of the fog that an opened stage shows: rain or snow where there is any."""
-    return next(iter(falls(fogs)), list(fogs)[len(fogs) // 2])
+    """The variant of the fog that an opened stage shows, whose dry road others that it has no variant for have too."""
+    dry = [name for name in fogs if name not in falls(fogs)]
+    return dry[len(dry) // 2] if len(dry) > 1 else next(iter(falls(fogs)), dry[0])
 
 
 def plated(placed: Sequence[Placement], rng: np.random.Generator) -> list[Placement]:
