@@ -51,7 +51,12 @@ def page() -> str:
             lines += [*_table({"KIND": LANE}), ""]
         if world.row:
             lines += [f"### rows ({name})", "", ROWS, "", *_table(world.row), ""]
-    lines += ["## fog", "", "A list of visibilities, one variant each, in every world; clear air is always there.", ""]
+    lines += [
+        "## fog",
+        "",
+        "A list of visibilities, or weather by name (`rain10`, `{choice: {rain10: 2, snow2: 1}}`), one variant each, in",
+    ]
+    lines += ["each, in every world; clear air is always there.", ""]
     lines += [*_table({"fog": FOG}, left_out=str(list(FOG_DEFAULT))), ""]
     return "\n".join(lines)
 
@@ -89,6 +94,18 @@ def schema() -> dict[str, Any]:
     }
 
 
+WEATHER: list[dict[str, Any]] = [
+    {"type": "string"},
+    {
+        "type": "object",
+        "properties": {"choice": {"type": "object", "additionalProperties": {"type": "number"}}},
+        "required": ["choice"],
+        "additionalProperties": False,
+    },
+]
+"""Forms of a fog by name."""
+
+
 def _world(world: World) -> dict[str, Any]:
     properties: dict[str, Any] = {
         "synfog": True,
@@ -101,9 +118,9 @@ def _world(world: World) -> dict[str, Any]:
         "fog": {
             "type": "array",
             "minItems": 1,
-            "items": _value(FOG),
+            "items": {"anyOf": [_value(FOG), *WEATHER]},
             "default": list(FOG_DEFAULT),
-            "description": "Visibilities (MOR) in metres.",
+            "description": "Visibilities (MOR) in metres, and weather by name.",
         },
     }
     properties |= {section: _mapping(parameters) for section, parameters in _by_section(world).items()}
