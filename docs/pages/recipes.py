@@ -51,12 +51,9 @@ def page() -> str:
             lines += [*_table({"KIND": LANE}), ""]
         if world.row:
             lines += [f"### rows ({name})", "", ROWS, "", *_table(world.row), ""]
-    lines += [
-        "## fog",
-        "",
-        "A list of visibilities, or weather by name (`rain10`, `{choice: {rain10: 2, snow2: 1}}`), one variant each, in",
-    ]
-    lines += ["each, in every world; clear air is always there.", ""]
+    names = "`rain10`, or `{choice: {rain10: 2, snow2: 1}}`"
+    lines += ["## fog", "", f"A list of visibilities, and weather by name ({names}): one variant each, in every world."]
+    lines += ["Clear air is always there.", ""]
     lines += [*_table({"fog": FOG}, left_out=str(list(FOG_DEFAULT))), ""]
     return "\n".join(lines)
 
