@@ -28,7 +28,7 @@ BATCH = 1 << 18
 
 
 @dataclass(frozen=True)
-class Lamp:
+class PointLamp:
     """A lamp as a point.
 
     Attributes:
@@ -40,7 +40,7 @@ class Lamp:
     sent: Callable[[Array], Array]
 
 
-def lamps_of(scene: SceneDict) -> list[Lamp]:
+def lamps_of(scene: SceneDict) -> list[PointLamp]:
     """Spots, points, lamps with photometry and small lit surfaces of a scene."""
     from synfog_usd.render.lights import photometric, rows
 
@@ -53,7 +53,7 @@ def lamps_of(scene: SceneDict) -> list[Lamp]:
             block = _as_one(block, np.asarray(part["positions"], dtype=np.float64))
         table = photometric.table_of(part) if part["type"] == photometric.TYPE else None
         if len(block):
-            lamps.append(Lamp(block["position"][0].copy(), _sender(block, table)))
+            lamps.append(PointLamp(block["position"][0].copy(), _sender(block, table)))
     return lamps
 
 
@@ -96,7 +96,7 @@ def _sender(rows: np.ndarray, table: Array | None) -> Callable[[Array], Array]:
     return sent
 
 
-def scattered(lamps: Sequence[Lamp], places: Array, to_eye: Array, medium: FogMedium) -> Array:
+def scattered(lamps: Sequence[PointLamp], places: Array, to_eye: Array, medium: FogMedium) -> Array:
     """(N, 3) radiance [cd m-2] of what stops all light at places: each lamp's, once scattered.
 
     A drop of cross-section A sends A p(angle) E, E = I / r^2 exp(-sigma_t r), and covers A of what is behind it.
@@ -134,7 +134,7 @@ class Sightlines:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, camera: Camera, lamps: Sequence[Lamp], medium: FogMedium, reach_m: float) -> Sightlines:
+    def of(cls, camera: Camera, lamps: Sequence[PointLamp], medium: FogMedium, reach_m: float) -> Sightlines:
         """Those of a camera, up to a distance, see `scattered`."""
         height, width = camera.height_px, camera.width_px
         rows, columns = (max(2, -(-count // EVERY_PX)) for count in (height, width))

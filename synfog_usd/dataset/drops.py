@@ -17,7 +17,7 @@ from synfog_usd.base.arrays import Array, FloatArray, total
 from synfog_usd.base.image import Image
 from synfog_usd.base.numbers import RGB
 from synfog_usd.base.seeds import seed32
-from synfog_usd.dataset.drop_light import FARTHEST_M, Lamp, Sightlines, lamps_of, scattered
+from synfog_usd.dataset.drop_light import FARTHEST_M, PointLamp, Sightlines, lamps_of, scattered
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.fog import falling
 from synfog_usd.fog.falling import Cone, Drops, SizeClasses
@@ -123,7 +123,7 @@ def _falls(
     graph: NodeGraph,
     exposure_s: float,
     moment: FallTime,
-    lamps: Sequence[Lamp],
+    lamps: Sequence[PointLamp],
 ) -> tuple[list[Streaks], FloatArray]:
     """Drops of each kind, and (H, W, 1 + C) the mean optical depth of all of them, and times the light of lamps."""
     camera, distance_m = result.scene.camera, result.rendered.aovs.distance_m
@@ -229,7 +229,7 @@ def streaks_of(
     )
 
 
-def light_on_drops(rendered: Rendered, scene: SceneDict, lamps: Sequence[Lamp]) -> FloatArray:
+def light_on_drops(rendered: Rendered, scene: SceneDict, lamps: Sequence[PointLamp]) -> FloatArray:
     """(H, W, C) radiance of drops: what the medium sends to the camera over the share that it stops, a mean around each
     pixel, without what lamps send by way of it; the picture's mean where a model tells no airlight apart.
     """
