@@ -56,6 +56,7 @@ VERBS = {
     "check": ["street.usda"],
     "bake": ["street.usda", "-o", "out", *SMALL, *ONE, "clear,mor150"],
     "preview": ["street.usda", "-o", "seen", *SMALL, *ONE, "clear"],
+    "chart": ["street.usda", "-o", "chart", "--resolution", "16x9", "--samples", "4", "--models", "single"],
     "compose": [RECIPE, "--seed", "1", "-o", "road.usda"],
     "contact": [RECIPE, "-o", "sheet.png", "--seeds", "1", *SMALL],
     "info": [],
