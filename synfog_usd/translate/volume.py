@@ -520,7 +520,7 @@ def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) ->
             notes.warn(
                 layer.path,
                 f"it absorbs, and lets about {100.0 * share:.1g} % of daylight down to the camera; thin it with "
-                f"height, as smoke100_scale10 does, or give it a smaller boundary",
+                f"height, as smoke100_scale50 does, or give it a smaller boundary",
             )
 
 
