@@ -76,7 +76,7 @@ def test_gpus_are_those_that_are_visible(monkeypatch):
 
 
 def test_workers_are_what_memory_and_cores_allow(monkeypatch):
-    monkeypatch.setattr(cluster, "cores", lambda: 8)
+    monkeypatch.setattr(cluster.system, "cores", lambda: 8)
     monkeypatch.setattr(system, "free_memory", lambda: 10_000 * 2**20)
     assert cluster.fitting(2_000.0) == 4 and cluster.fitting(500.0) == 8 and cluster.fitting(50_000.0) == 1
     assert cluster.fitting(None) == int(0.8 * 10_000 // cluster.PEAK_MB)
