@@ -63,12 +63,12 @@ def tell_by(frame: Path, seconds: float, count: int, log: Callable[[str], None])
         OutputError: there is no room for them.
     """
     size = sum(path.stat().st_size for path in frame.rglob("*") if path.is_file())
-    left = count - 2
+    frames_to_come = count - 2
     log(
         f"{frame.parent}: {count} frames, about {seconds:.2g} s and {size / 1e6:.2g} MB each: "
-        f"{duration(left * seconds)} and {left * size / 1e9:.2g} GB more"
+        f"{duration(frames_to_come * seconds)} and {frames_to_come * size / 1e9:.2g} GB more"
     )
-    _check_room(frame.parent, count, left * size, left * size)
+    _check_room(frame.parent, count, frames_to_come * size, frames_to_come * size)
 
 
 def _check_room(out: Path, count: int, size: float, least: float) -> None:

@@ -158,8 +158,9 @@ class LabelledPicture(PictureKey):
         return self._flow(way, ("X", "Y", "seen"))
 
     def scene_flow(self, way: str) -> Array | None:
-        """(H, W, 3) where what a pixel shows is seen from the camera of the next frame, or the one before, less where
-        it is seen from here [m], x right, y down, z ahead; 0 of the sky.  None where there is none.
+        """(H, W, 3) how far what a pixel shows moves to the next frame, or back to the one before [m]; or None.
+
+        Each position is one as its own frame's camera sees it, x right, y down, z ahead.  0 of the sky.
 
         Args:
             way: 'forward' or 'backward'.

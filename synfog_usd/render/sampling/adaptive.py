@@ -41,7 +41,7 @@ LEAST_STRIDE = 1.25
 """Times the samples that it has which a picture gets in another round at least."""
 
 LONGEST_STRIDE = 4.0
-"""The same at most."""
+"""Times the samples that it has which a picture gets in another round at most: few samples tell their noise roughly."""
 
 LAST = 0.9
 """Part of what is left to do that a round is taken for at most, unless it is the last allowed: another may follow."""
@@ -205,7 +205,7 @@ def accumulate_denoised(
 
 
 def _times_before_denoising(accumulated: Accumulator, target: Target) -> float:
-    """How many times its samples a picture needs until denoising it is worth a try, about, by its raw halves."""
+    """How many times its samples a picture needs until denoising it is worth a try, by the noise of its samples."""
     noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
     needed = float(noise / DENOISER_GAIN) ** 2
     if target.mottle is not None:
