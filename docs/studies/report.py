@@ -1,24 +1,29 @@
-"""A suite's table and drawings into a page of the documentation, so that no number is typed by hand.
+"""A suite's tables into a page of the documentation, so that no number is typed by hand.
 
-From a shell: `python -m docs.studies.report OUT docs/speed-accuracy.md`.  Reads
-each `OUT/<stage>/chart.csv`, writes the table and the drawings over all
-anew, copies the drawings to `images/` beside the page, and replaces
-what stands between the page's two marks.  Renders nothing.
+From a shell: `python -m docs.studies.report OUT docs/speed-accuracy.md`.  Charts
+each stage of `stages/bench` that has no `OUT/<stage>/chart.csv` yet, and replaces
+what stands between the page's two marks.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from synfog_usd.base import files
+from synfog_usd.base import files, resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
 from synfog_usd.lab.study import verdicts
-from synfog_usd.lab.study.chart import write_suite
-from synfog_usd.lab.study.points import TARGETS, Point, read, summary
+from synfog_usd.lab.study.chart import ChartPlan, chart
+from synfog_usd.lab.study.points import TARGETS, Point, summary
+
+SIZE_PX, LIMIT_S = (96, 54), 60.0
+"""Of each chart: its picture, and its time limit [s]."""
 
 SHOWN = (TARGETS[1], TARGETS[3])
 """Targets that have a table on the page: 3 % total error, and 1 % mottle."""
@@ -30,34 +35,28 @@ def report(out: Path, document: Path) -> None:
     """Bring `document` up to what lies in `out`.
 
     Raises:
-        ParameterError: no chart in `out`, or no marks in `document`.
+        ParameterError: no marks in `document`.
     """
-    found = sorted(out.glob("*/chart.csv"))
-    if not found:
-        raise ParameterError(f"{out}: no <stage>/chart.csv in it; make it with synfog-usd chart --suite -o {out}")
     before, begin, rest = document.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise ParameterError(f"{document}: has not the two marks {BEGIN!r} and {END!r}, between which the numbers go")
-    points = {path.parent.name: read(path.read_text(encoding="utf-8")) for path in found}
-    write_suite(points, out)
-    images = document.parent / "images"
-    for name in ("suite", "mottle"):
-        files.write_bytes(images / f"chart_{name}.png", (out / f"{name}.png").read_bytes())
+    for stage in sorted((resources.folder("stages") / "bench").glob("*.usda")):
+        if not (out / stage.stem / "chart.csv").exists():
+            chart(ChartPlan(stage, out / stage.stem, size=SIZE_PX, time_limit=LIMIT_S))
+    points = {path.parent.name: read(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*/chart.csv"))}
     text = f"{before}{BEGIN}\n\n{section(points)}\n{END}{after}"
     files.write_bytes(document, text.encode())
 
 
 def section(points: Mapping[str, Sequence[Point]]) -> str:
     """What stands between the marks, in Markdown."""
-    rows = {name: summary(name, line) for name, line in points.items()}
+    rows = {name: summary(line) for name, line in points.items()}
     first = next(iter(points.values()))[0]
     own = [line[0].reference_rms for line in points.values()]
     parts = [
         f"{len(points)} stages, {first.width} x {first.height}, `{first.variant}` on {first.machine}. References are "
-        f"known to {verdicts.percent(min(own))} to {verdicts.percent(max(own))}.",
-        "![Seconds against error on each stage](images/chart_suite.png)",
-        "![Seconds against mottle on each stage](images/chart_mottle.png)",
+        f"known to {percent(min(own))} to {percent(max(own))}.",
         "### The words of quality\n\nSeconds, paths of a pixel, total error, mottle.\n\n" + _words(points),
         *(_table(TARGETS.index(target), *target, rows) for target in SHOWN),
     ]
@@ -72,8 +71,8 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
         for word in QUALITIES:
             point = by_word.get(word)
             cells.append(
-                f"{verdicts.duration(point.seconds)}, {point.samples}, {verdicts.percent(point.relative_rms)}, "
-                f"{verdicts.percent(point.mottle)}"
+                f"{verdicts.duration(point.seconds)}, {point.samples}, {percent(point.relative_rms)}, "
+                f"{percent(point.mottle)}"
                 if point
                 else "not run"
             )
@@ -96,6 +95,26 @@ def _table(index: int, measure: str, target: float, rows: Mapping[str, Sequence[
         cells += [verdicts.ratio(row), verdicts.ratio(row, "unbiased")]
         text += f"| {' | '.join(cells)} |\n"
     return text.rstrip()
+
+
+def read(text: str) -> list[Point]:
+    """The points of a `chart.csv`."""
+    kinds = {field.name: str(field.type) for field in fields(Point)}
+    readers: dict[str, Callable[[str], Any]] = {
+        "str": str,
+        "int": int,
+        "float": float,
+        "bool": lambda cell: cell == "1",
+    }
+    return [
+        Point(**{name: readers[kind](row[name]) for name, kind in kinds.items()})
+        for row in csv.DictReader(io.StringIO(text))
+    ]
+
+
+def percent(value: float) -> str:
+    """Three digits: '0.52 %', '12.3 %', '2440 %'."""
+    return f"{100 * value:.0f} %" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.seeds import stream
 from synfog_usd.camera.writers import read_exr
 from synfog_usd.cli.progress import shown
-from synfog_usd.dataset.sets import index
+from synfog_usd.dataset.sets import index, layout
 
 DEPTHS = (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, math.inf)
 """Edges of the bins of optical depth, -ln t."""
@@ -173,7 +173,7 @@ def pairs(source: Path) -> Iterator[FogPair | str]:
     """
     if not source.is_dir():
         raise ParameterError(f"{source}: no such folder")
-    if index.is_set(source):
+    if (source / layout.INDEX).is_dir() or (source / layout.SET).is_file():
         bakes = dict(sorted({picture.bake: str(picture.scene) for picture in index.pictures(source)}.items()))
     elif (source / "bake.json").is_file():
         bakes = {source: source.name}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from synfog_usd.base import resources
 from synfog_usd.base.errors import ImageError
@@ -20,23 +19,22 @@ from synfog_usd.camera import graph as engine
 from synfog_usd.camera import wet_glass as wet  # noqa: F401
 from synfog_usd.camera import windscreen as windscreens  # noqa: F401
 from synfog_usd.camera.exposure import Exposure, meter
-from synfog_usd.camera.graph import GraphRun, NodeGraph, Registry
+from synfog_usd.camera.graph import GraphRun, NodeGraph
 from synfog_usd.camera.profiles import LensProfile, SensorProfile
 from synfog_usd.camera.registry import OPS
 
 
-def load_graph(path: Path, *, registry: Registry = OPS) -> NodeGraph:
+def load_graph(path: Path) -> NodeGraph:
     """Read and check a graph of camera ops.
 
     Args:
         path: the YAML file, or the name of a shipped graph: 'phone'.
-        registry: `OPS`, or an own one that started from it.
 
     Raises:
         GraphError: with file, line and column.
         ParameterError: a fault in a sensor or lens profile.
     """
-    return engine.load_graph(resources.named(path, "pipeline"), registry)
+    return engine.load_graph(resources.named(path, "pipeline"), OPS)
 
 
 def field_of_view(image: Image, graph: NodeGraph, *, fov_x_deg: float | None = None) -> Image:
@@ -83,7 +81,6 @@ def develop(
     *,
     seed: int,
     exposure: Exposure | None = None,
-    overrides: Mapping[str, Any] | None = None,
     until: str | None = None,
     keep: Sequence[str] | None = None,
 ) -> GraphRun:
@@ -98,13 +95,11 @@ def develop(
         seed: of all random streams; each specimen of a rig has its own, by the `specimen` that an image's provenance
             tells.
         exposure: from `meter`; metered on the radiance given here unless said.
-        overrides, until, keep: see `NodeGraph.run`.
+        until, keep: see `NodeGraph.run`.
 
     Raises:
         GraphError: see `NodeGraph.run` and `meter`.
     """
-    if overrides:
-        graph = graph.with_overrides(overrides)
     images = {name: field_of_view(image, graph) for name, image in images.items()}
     if exposure is None:
         exposure = metered(graph, images)

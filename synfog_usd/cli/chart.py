@@ -1,8 +1,7 @@
-"""`synfog-usd chart`: speed against accuracy on one shot, or on every stage of a folder."""
+"""`synfog-usd chart`: speed against accuracy on one shot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from synfog_usd.cli.progress import shown
@@ -17,48 +16,23 @@ def run(plan: dict[str, Any], *, quiet: bool) -> None:
     from synfog_usd.lab.study import verdicts
 
     sweep = study.ChartPlan(**plan)
-    if sweep.stage.is_dir():
-        with shown(quiet) as (progress, _):
-            charts = study.suite(sweep, progress=progress)
-        if not quiet:
-            for name, chart in charts.items():
-                _note(name, chart)
-                print(name)
-                for line in verdicts.verdicts(name, chart.points):
-                    print(f"  {line}")
-            print(f"look at {sweep.out / 'suite.png'}")
-        return
     with shown(quiet) as (progress, _):
         chart = study.chart(sweep, progress=progress)
     if quiet:
         return
-    _note(sweep.stage.name, chart)
+    for note in chart.notes:
+        print(f"{sweep.stage.name}: {note}")
     _table(chart)
-    for line in verdicts.verdicts(sweep.stage.stem, chart.points):
+    for line in verdicts.verdicts(chart.points):
         print(line)
     print(f"look at {sweep.out / 'chart.png'}")
-
-
-def _note(name: str, chart: Chart) -> None:
-    for note in chart.notes:
-        print(f"{name}: {note}")
 
 
 def _table(chart: Chart) -> None:
     points = chart.points
     first, width = points[0], max(len(point.line) for point in points) + 1
-    head: Sequence[str] = (
-        "samples",
-        "seconds",
-        "total",
-        "noise",
-        "bias",
-        "95th pct.",
-        "FLIP",
-        "mean bias",
-        "std. err.",
-    )
-    print(f"{'model':<{width}}" + "".join(f"{name:>11}" for name in head))
+    head = "samples,seconds,total,noise,bias,95th pct.,FLIP,mean bias,std. err."
+    print(f"{'model':<{width}}" + "".join(f"{name:>11}" for name in head.split(",")))
     for point in points:
         bias = f"{point.bias_rms:.2%}" if point.bias_is_seen else f"< {point.bias_limit:.2%}"
         print(

@@ -14,7 +14,7 @@ import typer
 
 from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
-from synfog_usd.base.errors import ParameterError, SynfogError
+from synfog_usd.base.errors import SynfogError
 from synfog_usd.cli import dataset, options, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.
@@ -143,19 +143,8 @@ def check(
 class ChartWords:
     """Options of `chart`."""
 
-    stage: Annotated[Path | None, typer.Argument(help="USD file, or a folder of them.")] = None
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Folder for chart.csv, .svg, .png and notes.txt.",
-            show_default=False,
-        ),
-    ] = None
-    suite: Annotated[
-        bool, typer.Option("--suite", help="Every shipped stage of stages/bench, with suite.png and summary.csv.")
-    ] = False
+    stage: Annotated[Path, typer.Argument(help="USD file.")]
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for chart.csv, .svg, .png and notes.txt.")]
     fog: Annotated[
         str | None,
         typer.Option(help="One fog: a variant of the stage, clear, mor150, rain10; as the stage has it if left out."),
@@ -170,10 +159,6 @@ class ChartWords:
     models: Annotated[
         str | None, typer.Option(help="Models to compare, comma-separated; all that hold for the shot if left out.")
     ] = None
-    depth: Annotated[
-        str, typer.Option(help="Numbers of scatterings at which path is cut, comma-separated, or none.")
-    ] = "4"
-    bands: Annotated[str, typer.Option(help="Numbers of wavelength bands for path, comma-separated, or none.")] = "none"
     quality: Annotated[
         str, typer.Option(help="Words of bake's --quality to show beside the models, comma-separated, or none.")
     ] = ",".join(numbers.QUALITIES)
@@ -202,18 +187,9 @@ class ChartWords:
 @app.command()
 @options.spread
 def chart(words: ChartWords) -> None:
-    """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE, or
-    on every stage of a folder.
-    """
-    from synfog_usd.base.resources import folder
-
-    if words.suite == (words.stage is not None):
-        raise ParameterError("chart: takes either a STAGE (a file, or a folder of them) or --suite")
-    if words.out is None:
-        raise ParameterError("chart: needs --out FOLDER")
-    stage = words.stage or folder("stages") / "bench"
+    """Chart what accuracy costs: seconds against error and mottle of every model and quality on one shot of STAGE."""
     plan = dict(
-        stage=stage,
+        stage=words.stage,
         out=words.out,
         fog=words.fog,
         lighting=words.lighting,
@@ -221,8 +197,6 @@ def chart(words: ChartWords) -> None:
         size=numbers.size_of(words.resolution),
         samples=numbers.counts_of(words.samples, "--samples") if words.samples is not None else None,
         models=numbers.names_of(words.models, "--models"),
-        depth=() if words.depth == "none" else numbers.counts_of(words.depth, "--depth"),
-        bands=() if words.bands == "none" else numbers.counts_of(words.bands, "--bands"),
         quality=() if words.quality == "none" else numbers.names_of(words.quality, "--quality"),
         reference_samples=words.reference,
         time_limit=words.time_limit,
@@ -232,7 +206,7 @@ def chart(words: ChartWords) -> None:
         allow=tuple(words.allow or ()),
     )
     if not worker.is_worker():
-        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), stage))
+        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), words.stage))
     worker.follow_parent()
     from synfog_usd.cli import chart as verb
 

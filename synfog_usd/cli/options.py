@@ -121,7 +121,6 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Resolution = Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")]
 Graph = Annotated[Path, typer.Argument(help="YAML node graph, or the name of one that ships, as phone.")]
 SetOrBake = Annotated[Path, typer.Argument(help="Folder of a set, or of a single bake.")]
-Source = Annotated[Path, typer.Argument(help="Folder of a set or of a bake.")]
 
 
 @dataclass(kw_only=True)

@@ -150,12 +150,6 @@ def nominal(folder: Path | None = None) -> Mapping[str, Mapping[str, Any]]:
     return MappingProxyType(sizes)
 
 
-def origin(model: LibraryModel) -> str:
-    """Where a model is from and under which licence, as its file states it."""
-    data = Sdf.Layer.FindOrOpen(str(model.path)).customLayerData
-    return f"{data.get('source', 'source not stated')}, licence {data.get('licence', 'not stated')}"
-
-
 def read(path: Path) -> LibraryModel:
     """What a component says of itself.
 

@@ -28,9 +28,6 @@ def test_rows_come_back_in_order_with_the_paths_of_their_files(tmp_path):
     assert found[0].files["radiance.exr"] == found[1].files["radiance.exr"] == folder / "mor600/radiance.exr"
     assert found[0].files["labels.json"] == found[0].bake / "labels.json" == folder / "labels.json"
     assert found[0].seed == 2**32 - 1 and found[0].mor_m == 600.0 and found[3].mor_m is None
-    assert index.count(tmp_path) == 4
-    assert [one.scene for one in index.of_scene(tmp_path, 17)] == [17]
-    assert index.of_scene(tmp_path, 5) == index.of_scene(tmp_path, 5000) == ()
 
 
 def test_the_index_is_plain_parquet(tmp_path):

@@ -134,7 +134,7 @@ def stage(tmp_path_factory):
     return path
 
 
-FEW = ("--resolution", "32x18", "--depth", "none", "--quality", "none", "--fog", "mor150", "--lighting", "sky")
+FEW = ("--resolution", "32x18", "--quality", "none", "--fog", "mor150", "--lighting", "sky")
 
 
 def test_a_small_chart_writes_its_files(stage, tmp_path):

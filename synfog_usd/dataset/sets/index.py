@@ -11,8 +11,6 @@ radiance and labels.  Whoever reads a set starts here, and needs nothing else of
         picture.fog, picture.mor_m                    # 'mor600', 600.0; 'clear', None
         picture.pipeline                              # 'synfog'
         picture.files["srgb.png"]                     # absolute paths, also of radiance.exr, layers.exr and labels.exr
-    index.of_scene(out, 17)                           # the pictures of one scene
-    index.count(out)                                  # from the heads of the files alone
 
 Pictures come in the order of scenes, then lightings, cameras, fogs and pipelines as the set's file has them.  Any
 reader of Parquet opens the files too: `pyarrow.dataset.dataset(out / "index")`.
@@ -108,32 +106,7 @@ def pictures(out: str | os.PathLike[str]) -> Iterator[Picture]:
     """
     out = Path(out)
     for path in parts(out):
-        yield from _of_part(out, path)
-
-
-def of_scene(out: Path, number: int) -> tuple[Picture, ...]:
-    """The pictures of one scene, none where it is not made yet.
-
-    Raises:
-        ParameterError: no set lies there.
-    """
-    path = layout.part_path(out, number // layout.A_FOLDER)
-    return tuple(_of_part(out, path, scene=number)) if path in parts(out) else ()
-
-
-def count(out: Path) -> int:
-    """How many pictures the index has.
-
-    Raises:
-        ParameterError: no set lies there.
-    """
-    parquet = _parquet()
-    return sum(parquet.read_metadata(path).num_rows for path in parts(out))
-
-
-def is_set(folder: Path) -> bool:
-    """Whether a set lies in a folder, finished or not."""
-    return (folder / layout.INDEX).is_dir() or (folder / layout.SET).is_file()
+        yield from (_picture(out, row) for row in rows_of_part(path))
 
 
 def parts(out: Path) -> list[Path]:
@@ -186,10 +159,6 @@ def rows_of_part(path: Path) -> Iterator[dict[str, Any]]:
         raise OutputError(
             f"{path}: cannot be read as part of an index ({error}); the same dataset run writes it again"
         ) from error
-
-
-def _of_part(out: Path, path: Path, scene: int | None = None) -> Iterator[Picture]:
-    return (_picture(out, row) for row in rows_of_part(path) if scene is None or row["scene"] == scene)
 
 
 def _picture(out: Path, row: Mapping[str, Any]) -> Picture:

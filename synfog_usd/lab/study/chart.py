@@ -1,4 +1,4 @@
-"""Speed against accuracy: what a model's error costs in seconds, on one shot or on a folder of stages.
+"""Speed against accuracy: what a model's error costs in seconds, on one shot.
 
 Every model is run at several numbers of samples, and the model of a bake at each word of
 quality, three times with different seeds.  The reference has many more samples, from other
@@ -30,7 +30,7 @@ from synfog_usd.base.seeds import seed32
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
 from synfog_usd.lab.study import accuracy
 from synfog_usd.lab.study.accuracy import Reference
-from synfog_usd.lab.study.points import ERROR, MOTTLE, PLAIN, Point, Setting, front, line_name, summary, table
+from synfog_usd.lab.study.points import Point, front, line_name, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
@@ -64,15 +64,13 @@ class ChartPlan:
     """What to sweep.
 
     Attributes:
-        stage: the USD file, or a folder of them.
+        stage: the USD file.
         out: folder that receives the files.
         fog, lighting: one name each as a bake takes it; None is what the stage selects itself.
         camera: prim path; None is the stage's own choice.
         size: (width, height) in pixels.
         samples: paths per pixel, >= 2 each; None is SAMPLES, and PEER_SAMPLES for peers.
         models: names of `render.models.MODELS`; None is all that hold for the shot.
-        depth: numbers of scatterings at which `path` is cut, each a line of its own.
-        bands: numbers of wavelength bands for `path`, each a line of its own.
         quality: words of `numbers.QUALITIES` to show, of the model that a bake takes.
         reference_samples: of the reference; None is REFERENCE_FACTOR times the most of its model's, as far as
             time_limit goes.
@@ -92,8 +90,6 @@ class ChartPlan:
     size: tuple[int, int] = (160, 90)
     samples: tuple[int, ...] | None = None
     models: tuple[str, ...] | None = None
-    depth: tuple[int, ...] = ()
-    bands: tuple[int, ...] = ()
     quality: tuple[str, ...] = tuple(QUALITIES)
     reference_samples: int | None = None
     time_limit: float | None = None
@@ -122,12 +118,11 @@ class Chart:
 
 @dataclass
 class _Line:
-    """One model in one setting, as far as it has been rendered: `runs`, `seconds` and `spent`, paths of a pixel, by
-    level, which are the most samples; `words` those that levels stand for.
+    """One model, as it is or by words of quality, as far as it has been rendered: `runs`, `seconds` and `spent`, paths
+    of a pixel, by level, which are the most samples; `words` those that levels stand for.
     """
 
     model: str
-    setting: Setting
     levels: list[int]
     runs: dict[int, list[Array]] = field(default_factory=dict)
     seconds: dict[int, list[float]] = field(default_factory=dict)
@@ -137,7 +132,7 @@ class _Line:
 
     @property
     def name(self) -> str:
-        return line_name(self.model, self.setting)
+        return line_name(self.model, quality=bool(self.words))
 
     def estimate(self) -> float:
         """Seconds that the next level will take; 0 for the first, and half of one level for what does not grow with
@@ -151,13 +146,12 @@ class _Line:
         return RUNS * (least[most] + max(slope, 0.1 * least[most] / most) * (self.levels[0] - most))
 
 
-def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False) -> Chart:
+def chart(plan: ChartPlan, *, progress: Progress = silent) -> Chart:
     """Measure the sweep of one shot and write its table, its drawings and its page.
 
     Args:
-        plan: what to sweep; its stage is a file.
+        plan: what to sweep.
         progress: called with what is being rendered and about how much is done.
-        lenient: whether a model that was asked for and does not hold is left out with a note instead of an error.
 
     Raises:
         SynfogError: with place and fix, before anything is rendered.
@@ -169,16 +163,12 @@ def chart(plan: ChartPlan, *, progress: Progress = silent, lenient: bool = False
     backend_used = backend.start(plan.variant)  # type: ignore[arg-type]
     began = time.perf_counter()
     holding = [name for name, model in models.MODELS.items() if not model.refuses(scene)]
-    names = [name for name in plan.models or holding if not lenient or name in (models.AUTO, *holding)]
-    notes = [
-        f"{name}: does not hold here, {models.MODELS[name].refuses(scene)}"
-        for name in plan.models or ()
-        if name not in names
-    ]
+    notes: list[str] = []
     auto = models.choose(models.AUTO, scene)[0]
-    sweep = _lines(plan, list(dict.fromkeys(models.choose(name, scene)[0] for name in names)), auto, notes)
+    names = dict.fromkeys(models.choose(name, scene)[0] for name in plan.models or holding)
+    sweep = _lines(plan, list(names), auto, notes)
     work = _Sweep(plan, _Renders(scene, plan.size), sweep, notes, progress)
-    work.render(lenient=lenient)
+    work.render()
     reference = work.reference(next((name for name in models.ours_unbiased() if name in holding), "volpath"))
     points = _points(work.lines, reference, plan.size, backend_used.variant, auto, plan.target)
     title = f"{plan.stage.name}, {shot}, {plan.size[0]} x {plan.size[1]}"
@@ -207,12 +197,12 @@ class _Sweep:
         self.spent_s = 0.0
         self.paths, self.paths_done = RUNS * sum(sum(line.levels) for line in lines), 0
 
-    def render(self, *, lenient: bool) -> None:
+    def render(self) -> None:
         """All levels, as far as the time limit goes; a model that fails keeps what it has.
 
         Raises:
             ParameterError: no line gave a picture.
-            RuntimeError, ValueError: what was asked for by name failed, and not `lenient`.
+            RuntimeError, ValueError: what was asked for by name failed.
         """
         lines = self.lines
         while waiting := [line for line in lines if line.levels]:
@@ -226,7 +216,7 @@ class _Sweep:
             try:
                 self._render_level(line, samples)
             except (RuntimeError, ValueError, ParameterError) as error:  # the others' chart goes on
-                if (self.plan.models and not lenient) or not lines[1:]:
+                if self.plan.models or not lines[1:]:
                     raise
                 why = str(error).splitlines()[0] if str(error) else type(error).__name__
                 self.notes.append(f"{line.name}: failed at {samples} samples: {why}")
@@ -238,9 +228,7 @@ class _Sweep:
     def _render_level(self, line: _Line, samples: int) -> None:
         word = line.words.get(samples, "")
         what = f"{line.name}, {word or f'{samples} samples'}"
-        results = [
-            self._picture(line.model, line.setting, samples, run, what, self._fraction, word) for run in range(RUNS)
-        ]
+        results = [self._picture(line.model, samples, run, what, self._fraction, word) for run in range(RUNS)]
         # negative estimates are cut as `render` does; the reference keeps them
         line.runs[samples] = [np.maximum(rgb, 0.0) for rgb, *_ in results]
         line.seconds[samples] = [elapsed for _, elapsed, _ in results[1:]]
@@ -254,15 +242,14 @@ class _Sweep:
     def _picture(
         self,
         model: str,
-        setting: Setting,
         samples: int,
         stream: str | int,
         what: str,
         fraction: Callable[[float], float],
         word: str = "",
     ) -> tuple[Array, float, float]:
-        seed = seed32(self.plan.seed, "chart", line_name(model, setting), samples, stream)
-        settings = self.renders.settings(model, setting, samples, seed, word)
+        seed = seed32(self.plan.seed, "chart", line_name(model, quality=bool(word)), samples, stream)
+        settings = self.renders.settings(model, samples, seed, word)
         result = self.renders.render(settings, lambda _, part: self.progress(what, fraction(part * samples)))
         self.paths_done += samples
         return result
@@ -273,78 +260,36 @@ class _Sweep:
         return (1.0 - REFERENCE_SHARE) * min(max(by_time, (self.paths_done + samples) / self.paths), 1.0)
 
     def reference(self, model: str) -> Reference:
-        """The converged picture by `model`, in the most wavelength bands of the sweep: what R, G and B lack is then
-        seen as their bias.
-        """
-        from synfog_usd.render.models import ours_unbiased
-
-        setting = Setting(bands=max(self.plan.bands)) if self.plan.bands and model in ours_unbiased() else PLAIN
-        count = self._reference_samples(model, setting)
+        """The converged picture by `model`."""
+        count = self._reference_samples(model)
         shares = [count // PARTS + (index < count % PARTS) for index in range(PARTS)]
 
         def fraction(index: int) -> Callable[[float], float]:
             return lambda samples: 1.0 - REFERENCE_SHARE * (1.0 - (sum(shares[:index]) + samples) / count)
 
         parts = [
-            self._picture(model, setting, share, f"reference {index}", f"reference, {model}", fraction(index))[0]
+            self._picture(model, share, f"reference {index}", f"reference, {model}", fraction(index))[0]
             for index, share in enumerate(shares)
         ]
         return accuracy.combine(parts, shares, model)
 
-    def _reference_samples(self, model: str, setting: Setting) -> int:
+    def _reference_samples(self, model: str) -> int:
         same = [line for line in self.lines if line.model == model]
         most = max(max(line.runs) for line in same or self.lines)
         if self.plan.reference_samples is not None:
             return self.plan.reference_samples
         if not math.isfinite(self.limit_s):
             return REFERENCE_FACTOR * most
-        plain = next((line for line in same if line.setting == PLAIN), None)
+        plain = next((line for line in same if not line.words), None)
         if plain:
             each_s = min(plain.seconds[max(plain.runs)]) / max(plain.runs)
         else:
             probes = [
-                self._picture(model, setting, PROBE_SAMPLES, run, f"probe of {model}", self._fraction)[1]
-                for run in range(2)
+                self._picture(model, PROBE_SAMPLES, run, f"probe of {model}", self._fraction)[1] for run in range(2)
             ]
             each_s = probes[-1] / PROBE_SAMPLES
         affordable = int(max(self.limit_s - self.spent_s, REFERENCE_SHARE * self.limit_s) / each_s)
         return max(min(affordable, 64 * most), 2 * most, 2 * PARTS)
-
-
-def suite(plan: ChartPlan, *, progress: Progress = silent) -> dict[str, Chart]:
-    """Chart every stage of a folder into a folder of its name, with drawings and a table over all.
-
-    Raises:
-        ParameterError: the folder holds no stage.
-    """
-    stages = sorted(path for path in plan.stage.iterdir() if path.suffix in (".usd", ".usda", ".usdc", ".usdz"))
-    if not stages:
-        raise ParameterError(
-            f"{plan.stage}: no .usd, .usda, .usdc or .usdz file in it; give a stage, or a folder of stages as "
-            f"stages/bench"
-        )
-    check(plan)
-    charts = {}
-    for index, stage in enumerate(stages):
-
-        def within(what: str, fraction: float, index: int = index, name: str = stage.stem) -> None:
-            progress(f"{name}: {what}", (index + fraction) / len(stages))
-
-        charts[stage.stem] = chart(replace(plan, stage=stage, out=plan.out / stage.stem), progress=within, lenient=True)
-        # after each, so that a stopped suite is of use
-        write_suite({name: each.points for name, each in charts.items()}, plan.out)
-    return charts
-
-
-def write_suite(points: Mapping[str, Sequence[Point]], out: Path) -> None:
-    """The table and the drawings over several charts."""
-    from synfog_usd.lab.study import drawing
-
-    rows = [row for name, line in points.items() for row in summary(name, line)]
-    files.write_bytes(out / "summary.csv", table(rows).encode())
-    for measure, name in ((ERROR, "suite"), (MOTTLE, "mottle")):
-        for kind, data in zip(("svg", "png"), drawing.draw_suite(points, measure), strict=True):
-            files.write_bytes(out / f"{name}.{kind}", data)
 
 
 def check(plan: ChartPlan) -> None:
@@ -353,7 +298,7 @@ def check(plan: ChartPlan) -> None:
     Raises:
         ParameterError: with the option, what was found and what is allowed.
     """
-    from synfog_usd.base.numbers import SAMPLES, check_bands
+    from synfog_usd.base.numbers import SAMPLES
     from synfog_usd.render import models
 
     for name in plan.models or ():
@@ -367,11 +312,6 @@ def check(plan: ChartPlan) -> None:
             raise ParameterError(
                 f"{option} {value}: outside {least} to {SAMPLES[1]}; 64 is a draft, 1024 is clean in dense fog"
             )
-    for value in plan.depth:
-        if not 1 <= value <= 1000:
-            raise ParameterError(f"--depth {value}: outside 1 to 1000")
-    for value in plan.bands:
-        check_bands(value)
     for word in plan.quality:
         check_quality(word)
     if not 0.0 < plan.target <= 1.0:
@@ -398,19 +338,12 @@ class _Renders:
     def __init__(self, scene: SceneDict, size: tuple[int, int]) -> None:
         self.scene, self.size, self.loadings = scene, size, {}  # type: ignore[var-annotated]
 
-    def settings(self, model: str, setting: Setting, samples: int, seed: int, word: str) -> Settings:
+    def settings(self, model: str, samples: int, seed: int, word: str) -> Settings:
         """How a point is rendered; at a word of quality as a bake does, with the phone's sensor."""
         from synfog_usd.render.sampling.adaptive import sensor_target
         from synfog_usd.render.shot import Settings
 
-        plain = Settings(
-            model=model,
-            samples=samples,
-            seed=seed,
-            size=self.size,
-            bands=setting.bands,
-            scatterings=setting.scatterings,
-        )
+        plain = Settings(model=model, samples=samples, seed=seed, size=self.size)
         if not word:
             return plain
         quality = QUALITIES[word]
@@ -461,20 +394,16 @@ class _Renders:
 
 
 def _lines(plan: ChartPlan, names: Sequence[str], auto: str, notes: list[str]) -> list[_Line]:
-    """The sweep: each model as it is, then in its settings; `auto` is the model that a bake takes."""
+    """The sweep: each model as it is, and `auto`, the model that a bake takes, also by words of quality."""
     from synfog_usd.render import denoise, models
 
-    result, references = [], models.ours_unbiased()
+    result = []
     for model in names:
-        settings = [PLAIN]
-        settings += [Setting(scatterings=depth) for depth in plan.depth if model in references[:1]]
-        settings += [Setting(bands=bands) for bands in plan.bands if model in references]
-        for setting in settings:
-            levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES))})
-            result.append(_Line(model, setting, levels))
+        levels = sorted({*(plan.samples or (PEER_SAMPLES if models.MODELS[model].peer else SAMPLES))})
+        result.append(_Line(model, levels))
         if plan.quality and model == auto:
             words = {QUALITIES[word].samples: word for word in plan.quality}
-            line = _Line(model, Setting(quality=True), sorted(words), words=words)
+            line = _Line(model, sorted(words), words=words)
             if lacking := denoise.available():
                 notes.append(f"{line.name}: left out, {lacking}")
             else:
@@ -497,10 +426,8 @@ def _points(
                 Point(
                     line=line.name,
                     model=line.model,
-                    scatterings=line.setting.scatterings,
-                    bands=line.setting.bands,
                     quality=line.words.get(samples, ""),
-                    unbiased=MODELS[line.model].unbiased and line.setting == PLAIN,
+                    unbiased=MODELS[line.model].unbiased and not line.words,
                     samples=round(line.spent[samples]),
                     seconds=min(line.seconds[samples]),
                     first_call_s=line.first_call_s,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,6 @@ LOOKS = {
 }
 """Model -> colour and marker: blue what is unbiased, orange the peers, others what leaves something out."""
 OTHER = (("#5f6870", "*"), ("#3d4a99", "<"), ("#99693d", ">"))
-DASHES = ("-", "--", ":", "-.")
 AXES = {
     ERROR: "total relative error of a pixel's luminance, RMS",
     MOTTLE: "mottle: noise, blurred by 1/40 of the width",
@@ -90,77 +89,18 @@ def _panel(axes: Axes, points: Sequence[Point], measure: str) -> None:
     _scales(axes, [point for line in by_line.values() for point in line] or points, points[0], measure)
     _front(axes, points, measure)
     for name, line in by_line.items():
-        colour = _draw_line(axes, name, lines(points), line, measure, size=8.5)
+        colour, marker = look(line[0].model)
+        dash, face, edge = ("--", PAPER, colour) if "," in name else ("-", colour, PAPER)
+        x, y = [point.seconds for point in line], [point.amount(measure) for point in line]
+        axes.plot(x, y, dash + marker, color=colour, lw=1.7, ms=8.5, mfc=face, mec=edge, zorder=3, label=name)
         for point in line:
             at = (point.seconds, point.amount(measure))
             axes.annotate(point.mark, at, (5, 5), textcoords="offset points", fontsize=8.0, color=colour)
-    _ring(axes, points, measure, size=17)
-    axes.set_ylabel(AXES[measure])
-
-
-def _draw_line(axes: Axes, name: str, names: Iterable[str], line: Sequence[Point], measure: str, *, size: float) -> str:
-    """One line with its marks; gives its colour."""
-    colour, marker = look(line[0].model)
-    dash = _dash(name, names)
-    face, edge = (colour, PAPER) if dash == "-" else (PAPER, colour)
-    x, y = [point.seconds for point in line], [point.amount(measure) for point in line]
-    axes.plot(x, y, dash + marker, color=colour, lw=size / 5, ms=size, mfc=face, mec=edge, zorder=3, label=name)
-    return colour
-
-
-def _ring(axes: Axes, points: Sequence[Point], measure: str, *, size: float) -> None:
-    """A ring round the point that is enough for the error asked for."""
     ringed = [point for point in points if point.enough and measure == ERROR]
     if ringed:
         x, y = [point.seconds for point in ringed], [point.relative_rms for point in ringed]
-        axes.plot(x, y, "o", ms=size, mfc="none", mec=INK, mew=1.5, zorder=6, label="enough for the error asked for")
-
-
-def draw_suite(stages: Mapping[str, Sequence[Point]], measure: str = ERROR) -> tuple[bytes, bytes]:
-    """One small chart a stage on common axes, colours named once: (SVG, PNG)."""
-    pyplot = _pyplot()
-    columns = min(3, len(stages))
-    rows = math.ceil(len(stages) / columns)
-    with pyplot.rc_context({**STYLE, **dict.fromkeys(COLOUR_KEYS, INK), "font.size": 9}):
-        figure, grid = pyplot.subplots(
-            rows,
-            columns,
-            figsize=(3.5 * columns + 0.4, 2.9 * rows + 0.7),
-            layout="constrained",
-            sharex=True,
-            sharey=True,
-            squeeze=False,
-        )
-        for axes in grid.flat[len(stages) :]:
-            axes.set_visible(False)
-        for index, (axes, name) in enumerate(zip(grid.flat, stages, strict=False)):
-            _small_panel(axes, stages, name, measure)
-            axes.tick_params(labelbottom=index + columns >= len(stages))
-        figure.supxlabel(SECONDS, fontsize=9.5)
-        figure.supylabel(AXES[measure], fontsize=9.5)
-        handles = [axes.get_legend_handles_labels() for axes in grid.flat]
-        named = {label: handle for pair in handles for handle, label in zip(*pair, strict=True)}
-        ncols = min(len(named), max(3, 2 * columns))
-        figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=ncols, frameon=False, fontsize=9)
-        return _both(pyplot, figure)
-
-
-def _small_panel(axes: Axes, stages: Mapping[str, Sequence[Point]], name: str, measure: str) -> None:
-    """One stage of a suite."""
-    everything, points = [point for each in stages.values() for point in each], stages[name]
-    _scales(
-        axes,
-        [p for p in everything if p.amount(measure) > 0.0] or everything,
-        points[0],
-        measure,
-        lowest=min(p.reference_rms for p in everything),
-        dense=False,
-    )
-    _front(axes, points, measure)
-    for line_name, line in _drawable(points, measure).items():
-        _draw_line(axes, line_name, lines(points), line, measure, size=4.5)
-    _ring(axes, points, measure, size=12)
-    axes.set_title(name, loc="left", fontsize=10, fontweight="bold")
+        axes.plot(x, y, "o", ms=17, mfc="none", mec=INK, mew=1.5, zorder=6, label="enough for the error asked for")
+    axes.set_ylabel(AXES[measure])
 
 
 def _pyplot() -> ModuleType:
@@ -172,27 +112,17 @@ def _pyplot() -> ModuleType:
     return pyplot
 
 
-def _dash(name: str, names: Iterable[str]) -> str:
-    """Solid for a model as it is; its settings in turn."""
-    model = name.partition(",")[0]
-    if name == model:
-        return DASHES[0]
-    return DASHES[1 + [sibling for sibling in names if sibling.startswith(model + ",")].index(name) % (len(DASHES) - 1)]
-
-
-def _scales(
-    axes: Axes, shown: Sequence[Point], first: Point, measure: str, *, lowest: float | None = None, dense: bool = True
-) -> None:
+def _scales(axes: Axes, shown: Sequence[Point], first: Point, measure: str) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log")
     errors, times = [p.amount(measure) for p in shown], [p.seconds for p in shown]
     smallest, bottom = min(errors), min(errors) / 1.7
     if measure == ERROR:
-        smallest = min([smallest, *([p.bias_rms for p in shown if p.bias_is_seen] if dense else [])])
-        bottom = max(min(smallest, lowest or first.reference_rms), min(smallest, 1.0) / 8.0) / 1.7
+        smallest = min([smallest, *(p.bias_rms for p in shown if p.bias_is_seen)])
+        bottom = max(min(smallest, first.reference_rms), min(smallest, 1.0) / 8.0) / 1.7
     axes.set_ylim(bottom, max(errors) * 1.7)
-    axes.set_xlim(min(times) / 1.6, max(times) * (2.4 if dense else 1.5))
+    axes.set_xlim(min(times) / 1.6, max(times) * 2.4)
     if measure == ERROR:
         error, name = first.reference_rms, "reference's own error"
         axes.axhspan(bottom / 100, error, color="#8a9096", alpha=0.22, lw=0, zorder=0, label=name)
@@ -202,13 +132,8 @@ def _scales(
         (axes.xaxis, spread_x, lambda value, _: f"{value:g}"),
         (axes.yaxis, spread_y, lambda value, _: f"{100 * value:g} %"),
     ):
-        axis.set_major_locator(
-            LogLocator(
-                base=10,
-                subs=(1.0, 2.0, 5.0) if spread < (2.4 if dense else 1.6) else (1.0, 3.0) if dense else (1.0,),
-                numticks=20,
-            )
-        )
+        subs = (1.0, 2.0, 5.0) if spread < 2.4 else (1.0, 3.0)
+        axis.set_major_locator(LogLocator(base=10, subs=subs, numticks=20))
         axis.set_major_formatter(FuncFormatter(text))
         axis.set_minor_formatter(NullFormatter())
     axes.minorticks_off()
@@ -227,14 +152,8 @@ def _front(axes: Axes, points: Sequence[Point], measure: str) -> None:
     corners = [(best[0].seconds, heights[0])]
     for point, height, end in zip(best, heights[1:], ends, strict=True):
         corners += [(point.seconds, height), (end, height)]
-    axes.plot(
-        *zip(*corners, strict=True),
-        color=INK,
-        lw=1.0,
-        alpha=0.8,
-        zorder=2,
-        label="Pareto front: nothing is faster and closer",
-    )
+    label = "Pareto front: nothing is faster and closer"
+    axes.plot(*zip(*corners, strict=True), color=INK, lw=1.0, alpha=0.8, zorder=2, label=label)
 
 
 def _aside(axes: Axes, by_line: Mapping[str, Sequence[Point]], first: Point) -> None:

@@ -1,7 +1,7 @@
 """What a chart measured, as a table, and what follows from it: the Pareto front, and seconds to an error.
 
-A point is one model in one setting at one number of samples.  Points of one model
-and setting are a line.  Renders and draws nothing.
+A point is one model at one number of samples.  Points of one model are a line, those by
+words of quality another.  Renders and draws nothing.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from synfog_usd.render.models import having
@@ -23,41 +23,13 @@ TARGETS = ((ERROR, 0.01), (ERROR, 0.03), (ERROR, 0.10), (MOTTLE, 0.01))
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a model takes beside its number of samples.
-
-    Attributes:
-        scatterings: how often the fog may scatter a path; None is without end.
-        bands: light that a path carries: 3 for R, G and B, or a number of wavelength bands.
-        quality: whether points are the words of `numbers.QUALITIES`, each as a bake renders it, instead of numbers of
-            samples.
-    """
-
-    scatterings: int | None = None
-    bands: int = 3
-    quality: bool = False
-
-    @property
-    def words(self) -> str:
-        """For a label, '' where nothing is set."""
-        parts = [f"depth {self.scatterings}"] if self.scatterings is not None else []
-        parts += [f"{self.bands} bands"] if self.bands != 3 else []
-        parts += ["by quality"] if self.quality else []
-        return ", ".join(parts)
-
-
-PLAIN = Setting()
-
-
-@dataclass(frozen=True)
 class Point:
-    """One model and setting at one number of samples: a row of `chart.csv`.
+    """One model at one number of samples: a row of `chart.csv`.
 
     Attributes:
-        line: model and setting in words.
-        model, scatterings, bands, quality, samples: what was run; an empty cell of `scatterings` is without end, one of
-            `quality` no word but so many samples.
-        unbiased: whether the model has no bias by its making, and nothing was cut off or smoothed.
+        line: model, and whether it is by words of quality.
+        model, quality, samples: what was run; an empty cell of `quality` is no word but so many samples.
+        unbiased: whether the model has no bias by its making, and nothing was smoothed.
         seconds: wall time of a render on a loaded scene whose kernel is there already, with what the model prepares for
             itself: the least of RUNS - 1, since other work on the machine only adds to it.
         first_call_s: wall time of the line's first render; what it has over `seconds` is the making of the kernel, or
@@ -81,8 +53,6 @@ class Point:
 
     line: str
     model: str
-    scatterings: int | None
-    bands: int
     quality: str
     unbiased: bool
     samples: int
@@ -125,9 +95,9 @@ class Point:
         return self.quality or str(self.samples)
 
 
-def line_name(model: str, setting: Setting) -> str:
-    """Model and setting in words."""
-    return f"{model}, {setting.words}" if setting.words else model
+def line_name(model: str, *, quality: bool) -> str:
+    """What a line is called: its model, and whether its points are words of quality."""
+    return f"{model}, by quality" if quality else model
 
 
 def lines(points: Iterable[Point]) -> dict[str, list[Point]]:
@@ -178,7 +148,7 @@ def price(line: Sequence[Point], target: float, measure: str = ERROR) -> Price |
     least that was measured, and go on beyond them with the last slope.
 
     Args:
-        line: points of one model and setting, by rising samples.
+        line: points of one line, by rising samples.
     """
     last = line[-1]
     if last.quality:
@@ -214,12 +184,11 @@ def _seconds(line: Sequence[Point], samples: float) -> float:
     raise AssertionError("a line's points rise in samples")
 
 
-def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
+def summary(points: Sequence[Point]) -> list[dict[str, Any]]:
     """One row a target: the cheapest line of ours, the cheapest unbiased one, the best peer, and how much faster than
     the peer.
     """
     rows, peers = [], having("peer")
-    first = points[0]
     by_line = lines(points)
     for measure, target in TARGETS:
         prices = {name: cost for name, line in by_line.items() if (cost := price(line, target, measure))}
@@ -230,48 +199,25 @@ def summary(stage: str, points: Sequence[Point]) -> list[dict[str, Any]]:
         best, unbiased, peer = (
             min(group, key=lambda cost: cost.seconds, default=None) for group in (ours, fair, theirs)
         )
-        row: dict[str, Any] = {"stage": stage, "measure": measure, "target": target}
+        row: dict[str, Any] = {"measure": measure, "target": target}
         for name, cost in (("best", best), ("unbiased", unbiased), ("peer", peer)):
             row |= {name: cost.line if cost else "", f"{name}_samples": math.ceil(cost.samples) if cost else ""}
             row |= {f"{name}_seconds": cost.seconds if cost else "", f"{name}_beyond": cost.beyond if cost else ""}
         for name, cost in (("best", best), ("unbiased", unbiased)):
             row[f"{name}_speedup"] = peer.seconds / cost.seconds if peer and cost else ""
-        row |= {"enough": next((f"{point.line}, {point.samples}" for point in points if point.enough), "")}
-        row |= {
-            "reference_model": first.reference_model,
-            "reference_samples": first.reference_samples,
-            "reference_rms": first.reference_rms,
-        }
-        row |= {"width": first.width, "height": first.height, "variant": first.variant, "machine": first.machine}
         rows.append(row)
     return rows
 
 
-def table(rows: Iterable[Point | Mapping[str, Any]]) -> str:
-    """Rows as CSV with a header; numbers have five digits, truths are 0 and 1, what is not there is empty."""
-    plain = [asdict(row) if isinstance(row, Point) else dict(row) for row in rows]
+def table(points: Iterable[Point]) -> str:
+    """Points as CSV with a header; numbers have five digits, truths are 0 and 1, what is not there is empty."""
+    plain = [asdict(point) for point in points]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(plain[0]), lineterminator="\n")
     writer.writeheader()
     for row in plain:
         writer.writerow({name: _cell(value) for name, value in row.items()})
     return text.getvalue()
-
-
-def read(text: str) -> list[Point]:
-    """The points of a `chart.csv`."""
-    kinds = {field.name: str(field.type) for field in fields(Point)}
-    readers: dict[str, Callable[[str], Any]] = {
-        "str": str,
-        "int": int,
-        "float": float,
-        "bool": lambda cell: cell == "1",
-        "int | None": lambda cell: int(cell) if cell else None,
-    }
-    return [
-        Point(**{name: readers[kind](row[name]) for name, kind in kinds.items()})
-        for row in csv.DictReader(io.StringIO(text))
-    ]
 
 
 def _cell(value: object) -> object:

@@ -8,9 +8,9 @@ from typing import Any
 from synfog_usd.lab.study.points import Point, summary
 
 
-def verdicts(stage: str, points: Sequence[Point]) -> list[str]:
+def verdicts(points: Sequence[Point]) -> list[str]:
     """A sentence a target: what gets there first, and how much sooner than the best peer."""
-    return [sentence(row) for row in summary(stage, points)]
+    return [sentence(row) for row in summary(points)]
 
 
 def sentence(row: Mapping[str, Any]) -> str:
@@ -52,11 +52,6 @@ def ratio(row: Mapping[str, Any], who: str = "best") -> str:
         return ""
     value = float(row[f"{who}_speedup"])
     return f"{value:.0f}x" if value >= 9.95 else f"{value:.1f}x"
-
-
-def percent(value: float) -> str:
-    """Three digits: '0.52 %', '12.3 %', '2440 %'."""
-    return f"{100 * value:.0f} %" if abs(value) >= 1.0 else f"{100 * value:.3g} %"
 
 
 def duration(value: float) -> str:

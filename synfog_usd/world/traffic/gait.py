@@ -18,7 +18,6 @@ from scipy import interpolate
 from synfog_usd.base.arrays import Array
 from synfog_usd.world.library import nominal
 
-LIMBS = ("Thigh", "Shin", "Foot", "Arm", "Forearm", "Skirt")
 SIDES = ("Left", "Right")
 WALK_RATIO_M_S = 0.39
 """Length of a step squared over the speed, of adults: 0.0065 m for each step a minute (Sekiya and Nagasaki 1998)."""
