@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from synfog_usd.base.arrays import Array, FloatArray, Indices
 
@@ -96,10 +97,11 @@ def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Floa
     middle = streaks.place_px + streaks.speed_px_s * when_s[:, None]
     way = streaks.speed_px_s * (lasts_s * stretched)[:, None]
     long = np.sqrt(np.einsum("ij,ij->i", way, way))
-    wide = np.sqrt(streaks.width_px**2 + streaks.blur_px**2)
+    wide = streaks.width_px + streaks.blur_px
     reach = 0.5 * (np.abs(way) + wide[:, None]) + 1.0
     meets = np.all((middle + reach > 0.0) & (middle - reach < (width, height)), axis=1)
     middle, way, wide, far = middle[meets], way[meets], wide[meets], streaks.distance_m[meets]
+    discs = np.stack([streaks.width_px, streaks.blur_px], axis=1)[meets]
     factors = factors[meets]
     cover, area = (streaks.area_px * stretched)[meets], (long[meets] + wide + 1.0) * np.maximum(wide, 1.0)
     count = np.where(wide > 1.0, PER_PX2 * area, area)
@@ -112,12 +114,19 @@ def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Floa
         these = some[drop]
         step, thick = (point + 0.5) / count[these], wide[these] > 1.0
         along = np.where(thick, point * math.sqrt(2.0) % 1.0, step) - 0.5
-        radius, angle = np.where(thick, 0.5 * wide[these] * np.sqrt(step), 0.0), GOLDEN_RAD * point
-        x = middle[these, 0] + way[these, 0] * along + radius * np.cos(angle) - 0.5
-        y = middle[these, 1] + way[these, 1] * along + radius * np.sin(angle) - 0.5
+        aside = np.where(thick, _in_discs(discs[these], step, point), 0.0)
+        x = middle[these, 0] + way[these, 0] * along + aside.real - 0.5
+        y = middle[these, 1] + way[these, 1] * along + aside.imag - 0.5
         together = not faint[some[0]]
         _cover(depth, (x, y), (cover / count)[these], far[these], (these, factors, together), distance_m)
     return np.moveaxis(depth.reshape(-1, height, width), 0, 2).astype(np.float32)
+
+
+def _in_discs(diameters: Array, step: Array, point: Indices) -> npt.NDArray[np.complex128]:
+    """Points of (N, 2) two discs around 0, the sums of one place in each: what is even in a drop is out of focus."""
+    radii = 0.5 * diameters * np.sqrt(np.stack([step, point * math.sqrt(3.0) % 1.0], axis=1))
+    turns = np.stack([GOLDEN_RAD * point, 2.0 * math.pi * math.sqrt(7.0) * point], axis=1)
+    return np.asarray((radii * np.exp(1j * turns)).sum(axis=1))
 
 
 def _batches(count: Indices, apart: int) -> Iterator[slice]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array, Flags
 from synfog_usd.base.seeds import stream
-from synfog_usd.fog.drops import Sizes, flake_diameter, rain_speed, snow_speed
+from synfog_usd.fog.drops import FLAKE_DENSITY, Sizes, flake_diameter, rain_speed, snow_speed
 
 NEAR_M, FAR_M = 0.25, 12.0
 """Distances between which drops are drawn [m]: nearer ones are wide veils out of focus, farther ones a veil of many."""
@@ -23,6 +23,9 @@ MARGIN_M = 0.4
 
 CLASSES, SMALLEST_MM, LARGEST_MM = 48, 0.1, 6.0
 """Classes of size, and the drops of water between which they lie: smaller ones are mist, and larger ones break."""
+
+LARGEST_FLAKE_MM = 10.0
+"""Flakes up to which Locatelli and Hobbs measured, see `snow_speed`; what a distribution has beyond stays a veil."""
 
 SWAY = 0.3
 """Speed to the side of a flake in terms of its fall speed: an estimate by films of unrimed flakes."""
@@ -47,13 +50,13 @@ class SizeClasses:
     @classmethod
     def of_rain(cls, sizes: Sizes) -> SizeClasses:
         """Drops of rain."""
-        edges, per_m3 = _numbers(sizes)
+        edges, per_m3 = _numbers(sizes, LARGEST_MM)
         return cls(1e-3 * edges, per_m3, rain_speed(edges))
 
     @classmethod
     def of_snow(cls, sizes: Sizes) -> SizeClasses:
         """Flakes of dry snow, by the drops that they melt to."""
-        edges, per_m3 = _numbers(sizes)
+        edges, per_m3 = _numbers(sizes, (FLAKE_DENSITY * LARGEST_FLAKE_MM**2) ** (1.0 / 3.0))
         flakes = flake_diameter(edges)
         return cls(1e-3 * flakes, per_m3, snow_speed(flakes), SWAY)
 
@@ -183,8 +186,8 @@ def _of_class(
     return drops[(distance >= NEAR_M) & (distance < reach_m) & in_view]
 
 
-def _numbers(sizes: Sizes) -> tuple[Array, Array]:
+def _numbers(sizes: Sizes, largest_mm: float) -> tuple[Array, Array]:
     """(K + 1,) diameters of water [mm] between the classes, and (K,) drops in each [1/m3], by Simpson's rule."""
-    edges = np.geomspace(SMALLEST_MM, LARGEST_MM, CLASSES + 1)
+    edges = np.geomspace(SMALLEST_MM, largest_mm, CLASSES + 1)
     ends, middles = sizes.density(edges), sizes.density(0.5 * (edges[1:] + edges[:-1]))
     return edges, np.diff(edges) * (ends[:-1] + 4.0 * middles + ends[1:]) / 6.0

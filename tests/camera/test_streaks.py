@@ -33,12 +33,21 @@ def test_a_streak_is_as_long_as_exposure_times_speed():
 
 
 def test_an_opaque_flake_hides_what_is_behind_it_and_a_blur_lets_it_through():
-    """A still disc of 16 px covers all of its middle; out of focus over 32 px it covers a quarter, about."""
+    """A still disc of 16 px covers all of its middle; out of focus over 32 px it covers a quarter around the middle,
+    falls off from 8 px to 24 px, and half of it is left where a straight edge of the wide disc would be, about.
+    """
     sharp = cover(one(width=16.0), Shutter(0.01))
     assert sharp[56:64, 36:44].min() > 0.9
-    blurred = cover(one(width=16.0, blur=math.sqrt(32.0**2 - 16.0**2)), Shutter(0.01))
-    assert blurred[56:64, 36:44].mean() == pytest.approx(0.25, abs=0.02)
+    blurred = cover(one(width=16.0, blur=32.0), Shutter(0.01))
     assert blurred.sum() == pytest.approx(math.pi / 4 * 16.0**2, rel=0.01)
+    rows, columns = np.mgrid[:120, :80] + 0.5
+    away = np.hypot(columns - 40.0, rows - 60.0)
+    fine = (np.arange(-8, 8, 0.05) + 0.025)[:, None] * 1j + np.arange(-8, 8, 0.05) + 0.025
+    fine = fine[np.abs(fine) < 8.0]
+    for low, high in ((0, 6), (10, 14), (15, 17), (20, 23), (25, 40)):
+        here = (away > low) & (away < high)
+        wanted = np.mean([(np.abs(fine - far) < 16.0).mean() / 4.0 for far in away[here]])
+        assert blurred[here].mean() == pytest.approx(wanted, abs=0.008)
 
 
 def test_what_is_nearer_hides_a_drop():
