@@ -1,4 +1,5 @@
-"""What lamps send to a camera by way of drops: each by its place, its beam and the phase function of the drop.
+"""What lamps send to a camera by way of drops: each by its place, its beam, what is in its way and the drop's phase
+function.
 
 Takes the lamps of a scene; gives the radiance of drops at places, and its mean along lines of sight.
 """
@@ -7,13 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from synfog_usd.base.arrays import Array, FloatArray
+from synfog_usd.base.arrays import Array, Flags, FloatArray, Indices
 from synfog_usd.fog.falling import NEAR_M
 from synfog_usd.fog.medium import FogMedium
 from synfog_usd.scene import Camera, SceneDict
+
+if TYPE_CHECKING:
+    from synfog_usd.render.load import MitsubaScene
 
 SMALL_M = 1.0
 """Width of a lit surface up to which it is taken for a lamp; lit windows count as the light around."""
@@ -23,6 +29,12 @@ LEAST_M = 0.3
 
 EVERY_PX, STEPS, FARTHEST_M = 8, 48, 300.0
 """Pixels from one line of sight to the next, its steps, and how far it goes [m]."""
+
+SHADE_AT = 12, 8, 10
+"""Columns, rows and distances of the places at which lamps are asked for."""
+
+NEIGHBOURS, SIDEWAYS = 4, 8.0
+"""Of these that count for a place between them, and what a radian counts beside a factor e of distance."""
 
 BATCH = 1 << 18
 
@@ -34,10 +46,12 @@ class PointLamp:
     Attributes:
         place: (3,) [m].
         sent: from (N, 3) unit directions away from it to (N, 3) intensity [cd].
+        half_m: half of its width [m].
     """
 
     place: Array
     sent: Callable[[Array], Array]
+    half_m: float = 0.0
 
 
 def lamps_of(scene: SceneDict) -> list[PointLamp]:
@@ -48,12 +62,13 @@ def lamps_of(scene: SceneDict) -> list[PointLamp]:
     for part in scene.world.values():
         if not rows.is_sampled_light(part):
             continue
-        block = rows.lamp_rows(part)
+        block, half_m = rows.lamp_rows(part), 0.0
         if part["type"] == "mesh":
-            block = _as_one(block, np.asarray(part["positions"], dtype=np.float64))
+            points = np.asarray(part["positions"], dtype=np.float64)
+            block, half_m = _as_one(block, points), 0.5 * float(np.ptp(points, axis=0).max())
         table = photometric.table_of(part) if part["type"] == photometric.TYPE else None
         if len(block):
-            lamps.append(PointLamp(block["position"][0].copy(), _sender(block, table)))
+            lamps.append(PointLamp(block["position"][0].copy(), _sender(block, table), half_m))
     return lamps
 
 
@@ -96,7 +111,74 @@ def _sender(rows: np.ndarray, table: Array | None) -> Callable[[Array], Array]:
     return sent
 
 
-def scattered(lamps: Sequence[PointLamp], places: Array, to_eye: Array, medium: FogMedium) -> Array:
+@dataclass(frozen=True)
+class Shade:
+    """Which lamps shine on what is before a camera: asked for by rays from some places, and a mean of the nearest ones
+    elsewhere.
+
+    Attributes:
+        eye: (3,) the camera's place [m].
+        places: search tree of (P, 4) directions from there, times `SIDEWAYS`, and logarithms of distances.
+        free: (L, P) 1 where nothing is between a lamp and a place, else 0.
+    """
+
+    eye: Array
+    places: KDTree
+    free: FloatArray
+
+    @classmethod
+    def of(cls, loaded: MitsubaScene, lamps: Sequence[PointLamp]) -> Shade:
+        """That of a loaded scene.  What the camera does not see is left out; a lamp's glass and housing, within
+        `LEAST_M`, shade nothing.
+        """
+        camera = loaded.source.camera
+        columns, rows, steps = ((np.arange(count) + 0.5) / count for count in SHADE_AT)
+        grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+        ways = camera.directions(grid)
+        ways = ways[~np.isnan(ways).any(axis=1)]
+        far = NEAR_M * (FARTHEST_M / NEAR_M) ** steps
+        eye = camera.to_world[:3, 3]
+        ways, far = np.repeat(ways, len(far), axis=0), np.tile(far, len(ways))
+        places = eye + ways * far[:, None]
+        seen = (far < NEAR_M * 4.0) | ~_meet(loaded, np.broadcast_to(eye, places.shape), places)
+        places, key = places[seen], cls._key(ways[seen], far[seen])
+        free = np.ones((len(lamps), len(places)), np.float32)
+        for lamp, row in zip(lamps, free, strict=True):
+            way = lamp.place - places
+            away = np.linalg.norm(way, axis=1)
+            until = np.maximum(away - lamp.half_m - LEAST_M, 0.0) / np.maximum(away, 1e-9)
+            row[:] = ~_meet(loaded, places, places + way * until[:, None])
+        return cls(eye, KDTree(key), free)
+
+    @staticmethod
+    def _key(ways: Array, far_m: Array) -> Array:
+        return np.concatenate([SIDEWAYS * ways, np.log(far_m)[:, None]], axis=1)
+
+    def near(self, places: Array) -> tuple[Indices, FloatArray]:
+        """(N, `NEIGHBOURS`) which places were asked for near (N, 3) others, and the weight of each."""
+        way = places - self.eye
+        far = np.maximum(np.linalg.norm(way, axis=1), 1e-6)
+        apart, index = self.places.query(self._key(way / far[:, None], far), k=NEIGHBOURS)
+        index = np.minimum(index, self.free.shape[1] - 1)
+        weight = 1.0 / np.maximum(apart, 1e-6) ** 2
+        return index, (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _meet(loaded: MitsubaScene, begin: Array, end: Array) -> Flags:
+    """Whether something is between (N, 3) points and others."""
+    from synfog_usd.render import backend
+
+    mi = backend.mitsuba()
+    far = np.linalg.norm(end - begin, axis=1)
+    way = (end - begin) / np.maximum(far, 1e-9)[:, None]
+    ray = mi.Ray3f(backend.points(begin), mi.Vector3f(backend.points(way)))
+    ray.maxt = backend.floats(far)
+    return np.asarray(loaded.tree.ray_test(ray, mi.Bool(True)).numpy(), dtype=bool)
+
+
+def scattered(
+    lamps: Sequence[PointLamp], places: Array, to_eye: Array, medium: FogMedium, shade: Shade | None = None
+) -> Array:
     """(N, 3) radiance [cd m-2] of what stops all light at places: each lamp's, once scattered.
 
     A drop of cross-section A sends A p(angle) E, E = I / r^2 exp(-sigma_t r), and covers A of what is behind it.
@@ -105,16 +187,20 @@ def scattered(lamps: Sequence[PointLamp], places: Array, to_eye: Array, medium: 
         places: (N, 3) in the scene [m].
         to_eye: (N, 3) unit directions to the camera.
         medium: whose phase function p [1/sr] and extinction sigma_t [1/m] are taken, as of an even one.
+        shade: of these lamps; None where nothing shades them.
     """
     result = np.zeros((len(places), 3))
-    for lamp in lamps:
-        for begin in range(0, len(places), BATCH):
-            some = slice(begin, begin + BATCH)
+    for begin in range(0, len(places), BATCH):
+        some = slice(begin, begin + BATCH)
+        index, weight = shade.near(places[some]) if shade else (None, None)
+        for number, lamp in enumerate(lamps):
             way = places[some] - lamp.place
             far = np.linalg.norm(way, axis=1)
             way /= np.maximum(far, 1e-9)[:, None]
             part = medium.phase_function.value(np.einsum("ij,ij->i", way, to_eye[some]))
             part *= np.exp(-medium.sigma_t_per_m * far) / np.maximum(far, LEAST_M) ** 2
+            if shade is not None:
+                part *= (shade.free[number][index] * weight).sum(axis=1)
             result[some] += lamp.sent(way) * part[:, None]
     return result
 
@@ -134,7 +220,14 @@ class Sightlines:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, camera: Camera, lamps: Sequence[PointLamp], medium: FogMedium, reach_m: float) -> Sightlines:
+    def of(
+        cls,
+        camera: Camera,
+        lamps: Sequence[PointLamp],
+        medium: FogMedium,
+        reach_m: float,
+        shade: Shade | None = None,
+    ) -> Sightlines:
         """Those of a camera, up to a distance, see `scattered`."""
         height, width = camera.height_px, camera.width_px
         rows, columns = (max(2, -(-count // EVERY_PX)) for count in (height, width))
@@ -144,7 +237,7 @@ class Sightlines:
         ways = np.nan_to_num(camera.directions(grid))
         places = camera.to_world[:3, 3] + ways[:, :, None, :] * middle[:, None]
         to_eye = np.broadcast_to(-ways[:, :, None, :], places.shape).reshape(-1, 3)
-        light = scattered(lamps, places.reshape(-1, 3), to_eye, medium)
+        light = scattered(lamps, places.reshape(-1, 3), to_eye, medium, shade)
         return cls(ends, light.reshape(*places.shape), (height, width))
 
     def sum(self, depth: Array, distance_m: Array | FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from synfog_usd.base.arrays import Array, FloatArray, total
 from synfog_usd.base.image import Image
 from synfog_usd.base.numbers import RGB
 from synfog_usd.base.seeds import seed32
-from synfog_usd.dataset.drop_light import FARTHEST_M, PointLamp, Sightlines, lamps_of, scattered
+from synfog_usd.dataset.drop_light import FARTHEST_M, PointLamp, Shade, Sightlines, lamps_of, scattered
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.fog import falling
 from synfog_usd.fog.falling import Cone, Drops, SizeClasses
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.streaks import Shutter, Streaks
     from synfog_usd.dataset.session import Session
     from synfog_usd.dataset.shot import RenderedShot
-    from synfog_usd.render.picture import Rendered
+    from synfog_usd.render.load import MitsubaScene
     from synfog_usd.scene import Camera, SceneDict
 
 RESOLVED_PX = 0.15
@@ -73,8 +73,7 @@ def with_drops(result: RenderedShot, graph: NodeGraph, moment: FallTime) -> Rend
 
     A drop shows a wide view of what is around it, upside down (Garg and Nayar 2007), and a flake scatters all round.
     Both send what the medium itself sends to the camera: the airlight of the picture over the share of light that the
-    medium stops, a mean over `AROUND`, without that of lamps.  Each lamp lights each drop by itself, see `drop_light`;
-    nothing shades it.
+    medium stops, a mean over `AROUND`, without that of lamps.  Each lamp lights each drop by itself, see `drop_light`.
 
     A pixel L becomes M (L - (1 - T) J) / T + (1 - M) K, whose mean over drops is L.  T is the mean share of light that
     the drops let through, M what they let through now; J is their light on average, K now.
@@ -88,7 +87,7 @@ def with_drops(result: RenderedShot, graph: NodeGraph, moment: FallTime) -> Rend
     parts, shutter = moments_of(graph), shutter_of(result, graph)
     lamps = lamps_of(scene) if rendered.radiance.pixels.shape[2] == RGB else []
     falls, mean = _falls(kinds, result, graph, shutter.exposure_s, moment, lamps)
-    light, distance_m = light_on_drops(rendered, scene, lamps), rendered.aovs.distance_m.astype(np.float32)
+    light, distance_m = light_on_drops(result, lamps), rendered.aovs.distance_m.astype(np.float32)
     radiance = _through(rendered.radiance, mean, _depth(falls, shutter, distance_m), light)
     components = dict(rendered.components)
     if components:
@@ -140,11 +139,21 @@ def _falls(
         light = np.zeros((len(drops.place_m), 0))
         if lamps:
             way = drops.place_m / np.linalg.norm(drops.place_m, axis=1)[:, None]
-            light = scattered(lamps, drops.place_m + camera.to_world[:3, 3], -way, medium)
-            lines = Sightlines.of(camera, lamps, medium, falling.FAR_M)
+            light = scattered(lamps, drops.place_m + camera.to_world[:3, 3], -way, medium, result.shade)
+            lines = Sightlines.of(camera, lamps, medium, falling.FAR_M, result.shade)
             depth[:, :, 1:] += lines.sum(sizes.optical_depth(reach_m, lines.ends_m), distance_m)
         falls.append(streaks_of(drops, view, exposure_s, aperture_m, focus_m, light))
     return falls, depth
+
+
+def shade_of(scene: SceneDict, loaded: MitsubaScene) -> Shade | None:
+    """Of the lamps that light a scene's drops; None where none fall, or none shine, or rays end at fog's boundaries."""
+    from synfog_usd.render import backend
+
+    if loaded.boundaries or backend.is_scalar() or not falling_in(scene):
+        return None
+    lamps = lamps_of(scene)
+    return Shade.of(loaded, lamps) if lamps else None
 
 
 def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium]]:
@@ -229,12 +238,13 @@ def streaks_of(
     )
 
 
-def light_on_drops(rendered: Rendered, scene: SceneDict, lamps: Sequence[PointLamp]) -> FloatArray:
+def light_on_drops(result: RenderedShot, lamps: Sequence[PointLamp]) -> FloatArray:
     """(H, W, C) radiance of drops: what the medium sends to the camera over the share that it stops, a mean around each
     pixel, without what lamps send by way of it; the picture's mean where a model tells no airlight apart.
     """
     from scipy.ndimage import gaussian_filter
 
+    rendered, scene = result.rendered, result.scene
     picture = rendered.radiance.pixels
     airlight = [part for name, part in rendered.components.items() if name.startswith("airlight")]
     if not airlight:
@@ -244,7 +254,7 @@ def light_on_drops(rendered: Rendered, scene: SceneDict, lamps: Sequence[PointLa
     sent = np.maximum(total(airlight), 0.0)
     if lamps:
         medium = next(volume.medium for volume in _around(scene) if volume.medium.falls)
-        lines = Sightlines.of(scene.camera, lamps, medium, FARTHEST_M)
+        lines = Sightlines.of(scene.camera, lamps, medium, FARTHEST_M, result.shade)
         share = medium.albedo * (1.0 - np.exp(-medium.sigma_t_per_m * lines.ends_m))
         sent = sent - lines.sum(share, rendered.aovs.distance_m)
     planes = [gaussian_filter(plane, spread) for plane in np.moveaxis(sent, 2, 0)]

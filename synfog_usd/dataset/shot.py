@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.pinhole import Pinhole
+    from synfog_usd.dataset.drop_light import Shade
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.picture import Rendered
     from synfog_usd.render.shot import Settings
@@ -127,6 +128,7 @@ class RenderedShot:
         noise: luminance -> standard deviation of what a pixel of it reads [cd m-2], or None.
         clear: label id -> transmittance of the fog before an instance.
         exposures: inputs of the graph that see a part of the exposure -> their radiance.
+        shade: what is in the way of lamps that light near drops, or None.
     """
 
     shot: Shot
@@ -137,6 +139,7 @@ class RenderedShot:
     noise: Callable[[np.ndarray], np.ndarray] | None
     clear: Mapping[int, float]
     exposures: Mapping[str, Image]
+    shade: Shade | None = None
 
     @property
     def mor_m(self) -> float | None:
@@ -161,6 +164,7 @@ def sample_shot(
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
     makes its pictures.
     """
+    from synfog_usd.dataset.drops import shade_of
     from synfog_usd.render.media.medium import measured_depth
     from synfog_usd.render.shot import sample
     from synfog_usd.scene import transmittance
@@ -170,6 +174,7 @@ def sample_shot(
     looked_at = view if view and view.world is scene.world else None
     through = transmittance.of_instances(scene, looked_at.parts if looked_at else None, measured_depth)
     loaded = renderer.loaded_for(scene, plan.sampling.model)
+    shade = shade_of(scene, loaded)
     moving = exposures if scene.camera.moves or scene.motion_of else {}
     kept = tuple(plan.clip.kept.get(shot.folder, ())) if plan.clip else ()
     settings = replace(settings_of(plan, floor, density, seed32(plan.paths, shot.lighting, shot.fog)), kept=kept)
@@ -196,7 +201,7 @@ def sample_shot(
             for number, (name, part) in enumerate(parts.items(), 1)
         }
         visible = visible or dict.fromkeys(exposures, whole.radiance)
-        return RenderedShot(shot, scene, view, pinhole, whole, floor, through, visible)
+        return RenderedShot(shot, scene, view, pinhole, whole, floor, through, visible, shade)
 
     return picture
 

@@ -10,7 +10,7 @@ import pytest
 from synfog_usd import camera
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.dataset.drop_light import Sightlines, lamps_of, scattered
-from synfog_usd.dataset.drops import FallTime, falling_in, reach_of, streaks_of, with_drops
+from synfog_usd.dataset.drops import FallTime, falling_in, reach_of, shade_of, streaks_of, with_drops
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.dataset.plan import Shot
 from synfog_usd.dataset.shot import RenderedShot
@@ -18,6 +18,7 @@ from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.fog.drops import extinction, rain_sizes
 from synfog_usd.fog.falling import FAR_M, Cone, Drops, SizeClasses, falling
 from synfog_usd.render.film.aovs import Aovs
+from synfog_usd.render.load import to_mitsuba
 from synfog_usd.render.picture import Rendered
 from synfog_usd.scene import testing
 
@@ -101,6 +102,22 @@ def test_the_mean_light_of_drops_by_a_lamp_is_what_is_taken_out_of_the_medium():
     error = np.std(sums, axis=0, ddof=1) / math.sqrt(len(sums))
     assert np.all(4.0 * error < 0.03 * wanted)
     assert np.all(np.abs(np.mean(sums, axis=0) - wanted) < 0.01 * wanted + 4.0 * error)
+
+
+def test_what_stands_before_a_lamp_shades_the_drops_behind_it():
+    """A lamp at 40 m, a square of 2 m before it at 20 m: at 8 m its shadow is 3.2 m wide.  Within, drops have no light;
+    well beside it all that they have without the square.
+    """
+    lamp = LAMP | {"position": [0.0, 40.0, 0.0]}
+    scene = shot(rain(), world={"lamp": lamp, "shape_square": testing.wall(20.0, 1.0)}).scene
+    shade, lamps, ((_, medium),) = shade_of(scene, to_mitsuba(scene, boundaries=False)), lamps_of(scene), falling_in(scene)
+    x = np.array([-3.0, -2.7, -0.4, 0.0, 0.4, 2.7, 3.0])
+    places = np.stack([x, np.full(7, 8.0), np.zeros(7)], axis=1)
+    to_eye = -places / np.linalg.norm(places, axis=1)[:, None]
+    shaded, plain = (scattered(lamps, places, to_eye, medium, of)[:, 0] for of in (shade, None))
+    np.testing.assert_allclose(shaded[2:5], 0.0)
+    np.testing.assert_allclose(shaded[[0, 1, 5, 6]], plain[[0, 1, 5, 6]])
+    assert shade_of(scene, to_mitsuba(scene)) is None  # rays would end at the fog's boundary
 
 
 def test_drops_shine_near_a_lamp():
