@@ -110,7 +110,8 @@ def test_what_stands_before_a_lamp_shades_the_drops_behind_it():
     """
     lamp = LAMP | {"position": [0.0, 40.0, 0.0]}
     scene = shot(rain(), world={"lamp": lamp, "shape_square": testing.wall(20.0, 1.0)}).scene
-    shade, lamps, ((_, medium),) = shade_of(scene, to_mitsuba(scene, boundaries=False)), lamps_of(scene), falling_in(scene)
+    shade, lamps = shade_of(scene, to_mitsuba(scene, boundaries=False)), lamps_of(scene)
+    ((_, medium),) = falling_in(scene)
     x = np.array([-3.0, -2.7, -0.4, 0.0, 0.4, 2.7, 3.0])
     places = np.stack([x, np.full(7, 8.0), np.zeros(7)], axis=1)
     to_eye = -places / np.linalg.norm(places, axis=1)[:, None]
