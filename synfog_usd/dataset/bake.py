@@ -31,7 +31,7 @@ from synfog_usd.dataset.shot import (
     sample_shot,
     settings_of,
 )
-from synfog_usd.dataset.shot_files import OF_SHOT, write_labels, write_shot
+from synfog_usd.dataset.shot_files import OF_SHOT, write_further, write_labels, write_shot
 
 if TYPE_CHECKING:
     from synfog_usd.base.notes import Note
@@ -280,10 +280,12 @@ class _Work:
         self._ledger.add_labels(write_labels(visible, first, self._plan, self._session.graph, pinhole, pierced, loaded))
 
     def _finish(self, shot: Shot, began: float, result: RenderedShot) -> None:
-        from synfog_usd.dataset.drops import with_drops
+        from synfog_usd.dataset.drops import falling_in, with_drops
 
+        further = write_further(result, self._plan, self._specimen, self._moment) if falling_in(result.scene) else {}
         result = with_drops(result, self._session.graph, self._moment)
         row = write_shot(result, self._session.graph, self._plan, self._specimen)
+        row["files"] |= further
         self._ledger.add(shot, row)
         self.seconds[shot.folder] = time.perf_counter() - began
         for line in row["warnings"]:

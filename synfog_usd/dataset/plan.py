@@ -107,7 +107,8 @@ class Exposing:
         exposure_s, iso: exposure time [s] and ISO speed instead of what the camera's graph has or its meter finds.
         ev: by how many stops the pictures are exposed brighter than the meter says.
         meter: whether a rig's cameras are exposed `together`, by what all of them see, or `each` by itself.
-        meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`.
+        meter_for: further node graphs that are to develop the radiance: how they would expose stands in `bake.json`,
+            and where drops fall, light with their streaks in `<name>/radiance.exr`.
     """
 
     exposure_s: float | None = None

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.pinhole import Pinhole
+    from synfog_usd.dataset.drops import FallTime
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.picture import Rendered
@@ -64,6 +65,30 @@ def write_shot(result: RenderedShot, graph: NodeGraph, plan: BakePlan, specimen:
         writers.write_output(name, results[node], folder, options=graph.options_of(name))
     names = sorted([*OF_SHOT, *(f"{name}.exr" for name in exposures), *graph.outputs])
     return _row(result, plan) | {"files": {name: files.sha256_of(folder / name) for name in names}}
+
+
+def write_further(result: RenderedShot, plan: BakePlan, specimen: str | None, moment: FallTime) -> dict[str, str]:
+    """Write the light of a shot with the streaks of each further graph, whose exposure and lens are others.
+
+    Args:
+        result: without drops.
+
+    Returns:
+        file, <name of the graph>/radiance.exr -> its hash.
+    """
+    from synfog_usd import camera
+    from synfog_usd.camera import writers
+    from synfog_usd.dataset.drops import with_drops
+
+    more, written, exposing = provenance_of(result, plan, specimen), {}, plan.exposes
+    for path in exposing.meter_for:
+        graph = camera.exposed(camera.load_graph(path), exposure_s=exposing.exposure_s, iso=exposing.iso)
+        view = result.view and replace(result.view, exposure=result.view.further.get(path.stem, result.view.exposure))
+        light = with_drops(replace(result, view=view, exposures={}), graph, moment).rendered.radiance
+        name = f"{path.stem}/radiance.exr"
+        writers.write_exr(plan.out / result.shot.folder / name, light.with_metadata(**more))
+        written[name] = files.sha256_of(plan.out / result.shot.folder / name)
+    return written
 
 
 def provenance_of(result: RenderedShot, plan: BakePlan, specimen: str | None) -> dict[str, Any]:

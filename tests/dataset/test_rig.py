@@ -205,6 +205,36 @@ def test_cameras_of_a_set_are_one_rig(tmp_path):
     assert abs(np.corrcoef(*noise)[0, 1]) < 5.0 / np.sqrt(noise[0].size)
 
 
+@pytest.mark.slow
+def test_each_pipeline_of_a_set_has_the_streaks_of_its_own_exposure(tmp_path):
+    """A pipeline that exposes twenty times as long as the first has streaks of the same drops that are longer, and each
+    pixel of them changes less.
+    """
+    for name, exposure in (("short", 0.0005), ("long", 0.01)):
+        (tmp_path / f"{name}.yaml").write_text(
+            f"synfog: graph/1\ntitle: t\nextends: noise_free\nnodes: [{{name: expose, exposure_s: {exposure}}}]\n"
+        )
+    rig_stage(tmp_path)
+    found = define_set(
+        folder=tmp_path,
+        scenes=1,
+        stages={"rig.usda": 1},
+        lightings=["sky"],
+        fogs=["clear", "rain100"],
+        pipelines=["short.yaml", "long.yaml"],
+        size=[320, 180],
+        quality={"word": "draft"},
+    )
+    (unit,) = scene(found, 0).units
+    make(found, tmp_path / "out", unit)
+    shot = tmp_path / "out" / unit.folder / "rain100"
+    drops = writers.read_exr(shot / "layers.exr", channels=[f"drops.{name}" for name in "RGB"]).pixels.astype(float)
+    before, longer = (writers.read_exr(path / "radiance.exr").pixels for path in (shot, shot / "long"))
+    of_long = longer.astype(float) - before + drops
+    assert drops.std() > 1.5 * of_long.std() > 0.0
+    assert (shot / "long" / "srgb.png").read_bytes() != (shot / "srgb.png").read_bytes()
+
+
 def test_a_prim_above_a_rig_is_refused_where_one_camera_is_wanted(tmp_path):
     """A set's unit is of one camera: the line says what a set names instead."""
     path = rig_stage(tmp_path)

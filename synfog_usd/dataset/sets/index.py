@@ -168,6 +168,8 @@ def _picture(out: Path, row: Mapping[str, Any]) -> Picture:
         **{name: shot / name for name in OF_SHOT},
         **{name: developed / name for name in row["outputs"]},
     }
+    if (light := developed / "radiance.exr").is_file():  # with the streaks of this pipeline
+        paths["radiance.exr"] = light
     plain = {name: value for name, value in row.items() if name not in ("bake", "shot", "developed", "outputs")}
     return Picture(**plain, bake=bake, shot=shot, files=paths)
 

@@ -23,6 +23,7 @@ from synfog_usd.dataset.sets import layout
 from synfog_usd.dataset.sets.definition import SetDefinition, exposed
 from synfog_usd.dataset.sets.layout import Unit
 from synfog_usd.dataset.sets.scenes import PlannedScene, held_out, scene, with_weather
+from synfog_usd.fog import Fog
 
 if TYPE_CHECKING:
     from synfog_usd.base.image import Image
@@ -101,7 +102,7 @@ def _plan(
         reads=StageReading(allow=(resources.folder("assets"),)),
         exposes=Exposing(
             meter=definition.meter,
-            meter_for=definition.pipelines[1:] if _one_exposure(definition) else (),
+            meter_for=definition.pipelines[1:] if _one_exposure(definition) or _falls(planned) else (),
             **definition.exposure,
         ),
     )
@@ -151,6 +152,11 @@ def changed(folder: Path) -> Iterator[str]:
 def _one_exposure(definition: SetDefinition) -> bool:
     """Whether several cameras are exposed alike."""
     return len(definition.cameras) > 1 and definition.meter == TOGETHER
+
+
+def _falls(planned: PlannedScene) -> bool:
+    """Whether rain or snow falls in a scene, whose streaks are of each pipeline's exposure."""
+    return any(fog.rates for name in planned.fogs if (fog := Fog.named(name)))
 
 
 def _whole(folder: Path) -> bool:
@@ -281,7 +287,7 @@ def _developed(
     graph = exposed(camera.load_graph(pipeline), definition.exposure)
     (name_of_input,) = graph.inputs
     exposure = None
-    if shots and _one_exposure(definition):
+    if shots and (_one_exposure(definition) or _falls(planned)):
         exposure_row = shots[0].get("further_exposures", {}).get(pipeline.stem) or shots[0]["exposure"]
         exposure = (
             camera.Exposure(exposure_row["exposure_s"], exposure_row["iso"])
@@ -294,7 +300,8 @@ def _developed(
     result = {}
     for row in shots:
         shot = row["folder"]
-        picture = {name_of_input: radiance(folder, shot)}
+        rained_on = (folder / shot / name / "radiance.exr").is_file()
+        picture = {name_of_input: _radiance(folder, f"{shot}/{name}") if rained_on else radiance(folder, shot)}
         seed = noise_seed(planned.seed, row["lighting"], row["fog"], same_noise=definition.same_noise)
         names = list(graph.outputs.values())
         results = camera.develop(graph, picture, seed=seed, exposure=exposure, keep=names)
