@@ -107,7 +107,8 @@ class Boundary:
         """Corners (3,) [m] of a box along the world's axes around it."""
         if self.vertices is not None:
             return self.vertices.min(axis=0), self.vertices.max(axis=0)
-        reach = np.abs(self.to_world[:3, :3]).sum(axis=1)
+        rows = np.abs(self.to_world[:3, :3])
+        reach = rows.sum(axis=1) if self.kind == "box" else np.linalg.norm(rows, axis=1)
         return self.to_world[:3, 3] - reach, self.to_world[:3, 3] + reach
 
     def frame(self) -> Array:

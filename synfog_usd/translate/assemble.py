@@ -26,7 +26,7 @@ from synfog_usd.stage.budget import MAX_ALIKE
 from synfog_usd.stage.labels import UNLABELED
 from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import PREFIX
-from synfog_usd.translate import daylight, geometry, light, spectrum, volume
+from synfog_usd.translate import daylight, geometry, light, medium, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
 from synfog_usd.translate.camera import at_mid_exposure, half_exposure, read_camera
 from synfog_usd.translate.convention import Chooser
@@ -284,7 +284,7 @@ def fog_around(
     if fog is not None:
         nested = _overridden(nested, fog, eye.to_world[:3, 3], bounds_m, notes)
     volume.refuse_cut(nested, eye)
-    volume.warn_of_night(nested, eye.to_world[:3, 3], notes)
+    medium.warn_of_night(nested, eye.to_world[:3, 3], notes)
     if nested and not any(part.boundary.contains(eye.to_world[:3, 3])[0] for part in nested):
         notes.info(eye.path, "the camera stands outside of every fog boundary")
     return nested
@@ -293,7 +293,7 @@ def fog_around(
 def _overridden(
     volumes: tuple[FogVolume, ...], fog: Fog, eye: Array, bounds_m: Array, notes: Diagnostics
 ) -> tuple[FogVolume, ...]:
-    volume.warn_beyond("", fog.kinds, notes)
+    medium.warn_beyond("", fog.kinds, notes)
     if volumes or fog.clear:
         return volume.in_fog(volumes, fog)
     slab = volume.slab_around(fog, bounds_m[0], bounds_m[1], eye)
@@ -431,7 +431,7 @@ class _Assembler:
         if fog_box:
             self.notes.warn(
                 leaf.path,
-                f"a closed mesh whose material has no surface is taken as fog of {volume.DEFAULT_MOR_M:g} m "
+                f"a closed mesh whose material has no surface is taken as fog of {medium.DEFAULT_MOR_M:g} m "
                 f"visibility; "
                 f"author {PREFIX}mor on it or on its parent for another value",
             )

@@ -1,44 +1,35 @@
-"""Fog: boundaries and media from the prims that carry fog attributes.
+"""Fog: boundaries from the prims that carry fog attributes, and how they lie in each other.
 
 Takes leaves of the walk; gives `FogVolume`s in scene metres, each with the one
-that surrounds it.  A density grid's file is read here, and what other tools write
-for fog is recognised or refused with advice.
+that surrounds it.  What other tools write for fog is recognised or refused with advice.
 """
 
 from __future__ import annotations
 
 import math
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
 
 from synfog_usd.base.arrays import Array, distinct
-from synfog_usd.base.errors import ParameterError, StageError, did_you_mean
-from synfog_usd.base.numbers import fog_fault
-from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume, extinction_from_visibility
-from synfog_usd.fog.drops import HEAVIEST_MM_H, Sizes, sizes_of
-from synfog_usd.fog.grid import MAX_VOXELS, DensityGrid
-from synfog_usd.fog.kinds import FOG, KINDS, joined, medium_of
-from synfog_usd.fog.medium import ANGSTROM, WMO_CONTRAST
-from synfog_usd.fog.patchy import MOST_DEVIATION, SCALES_M, patchy
-from synfog_usd.fog.phase import Droplets, Phase, Tabulated
+from synfog_usd.base.errors import ParameterError, StageError
+from synfog_usd.fog import Boundary, Fog, FogMedium, FogVolume
+from synfog_usd.fog.grid import DensityGrid
 from synfog_usd.scene import Camera
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import fence_of
-from synfog_usd.stage.schema import DEFAULTS, OF_SIZES, PREFIX, FogAttributes, full_name_of, read_fog
+from synfog_usd.stage.schema import DEFAULTS, PREFIX, FogAttributes, read_fog
 from synfog_usd.translate.diagnostics import Diagnostics
-from synfog_usd.translate.geometry import part
+from synfog_usd.translate.geometry import Triangles, part
 from synfog_usd.translate.implicit import read_implicit
+from synfog_usd.translate.medium import VDB_TOOL, read_medium, read_vdb
 from synfog_usd.translate.mesh import read_mesh
 from synfog_usd.translate.space import apply, scaled
 
-DEFAULT_MOR_M = float(DEFAULTS["mor"])
 _SLACK = 1e-5
 """Relative shrinking before containment is asked, so that faces that lie in one plane do not count as crossing."""
 
@@ -46,17 +37,8 @@ SLAB_TOP_M = 100.0
 SLAB_HALF_WIDTH_M = 2000.0
 """Size of the fog that is made for a stage that has none."""
 
-PHASES = ("hg", "droplets", "mie")
-PROFILES = ("uniform", "exponential", "grid", "patchy")
-
 _FAR = 1e30
 """Largest coordinate that can be multiplied without overflow."""
-
-_MAX_BYTES = 8 * MAX_VOXELS + 4096
-"""Size of an array of doubles in a file [byte]."""
-
-Fault = Callable[[str, str], StageError]
-"""From an attribute and what it allows to an error."""
 
 
 class FogError(StageError):
@@ -91,10 +73,13 @@ def fog_volume(
         attributes = FogAttributes(str(prim.GetPath()), DEFAULTS, {})
     if not attributes.values["enabled"]:
         return None
+    grid, densest = None, 1.0
     if prim.GetTypeName() == "Volume" and "densityGrid" not in attributes.attribute_of and _vdb_path(prim) is not None:
-        return _vdb_volume(prim, attributes, matrix, notes)
-    boundary = _boundary(prim, matrix, time, notes)
-    medium = _medium(attributes, _lowest(boundary), prim.GetStage(), notes)
+        boundary, grid, densest = _vdb(prim, matrix, notes)
+    else:
+        boundary = _boundary(prim, matrix, time, notes)
+    lowest = float(boundary.extent()[0][2])
+    medium = read_medium(attributes, lowest, prim.GetStage(), notes, grid=grid, densest=densest)
     x, y, z = matrix[:3, 3].tolist()
     return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"], origin_m=(x, y, z))
 
@@ -119,7 +104,7 @@ def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:
             around[i].append(j)
         elif j_in_i:
             around[j].append(i)
-        elif (i, j) not in wholly and (j, i) not in wholly and ((i, j) in partly or (j, i) in partly):
+        elif (i, j) not in wholly and (j, i) not in wholly:
             crossing.append((volumes[j].path, volumes[i].path))
     if crossing:
         first, second = crossing[0]
@@ -258,9 +243,9 @@ def refuse_cut(fog: tuple[FogVolume, ...], camera: Camera) -> None:
             )
 
 
-def is_closed(vertices: Array, faces: npt.NDArray[np.int64]) -> bool:
+def _is_closed(mesh: Triangles) -> bool:
     """Whether each edge lies between two triangles that turn the same way round, points at one place being one."""
-    return len(faces) >= 4 and _open_edges(_welded(vertices, faces)) == 0
+    return len(mesh.faces) >= 4 and _open_edges(_welded(mesh.positions, mesh.faces)) == 0
 
 
 def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnostics) -> Boundary:
@@ -278,8 +263,7 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
         if kind == "Volume":
             return _extent_box(prim, matrix, time)
         if kind == "Mesh":
-            polygons = read_mesh(prim, time, notes)
-            triangles = part(polygons, None) if polygons is not None else None
+            triangles = _triangles(prim, time, notes)
         elif kind in ("Cylinder", "Cylinder_1", "Cone", "Capsule", "Capsule_1"):
             triangles = read_implicit(prim, kind, time, notes)
         else:
@@ -292,6 +276,11 @@ def _boundary(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnost
         return _mesh_boundary(apply(matrix, triangles.positions), triangles.faces, path)
     except ParameterError as problem:
         raise StageError(f"{path}: {problem}") from problem
+
+
+def _triangles(prim: Usd.Prim, time: Usd.TimeCode, notes: Diagnostics) -> Triangles | None:
+    polygons = read_mesh(prim, time, notes)
+    return None if polygons is None else part(polygons, None)
 
 
 def _extent_box(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode) -> Boundary:
@@ -369,234 +358,6 @@ def _open_edges(mesh: tuple[Array, npt.NDArray[np.int64]]) -> int:
     return alone // 2 + len(forward) - len(forward_only)
 
 
-def _medium(
-    attributes: FogAttributes,
-    base_m: float,
-    stage: Usd.Stage,
-    notes: Diagnostics,
-    *,
-    grid: DensityGrid | None = None,
-    densest: float = 1.0,
-) -> FogMedium:
-    """The medium within a boundary.
-
-    Args:
-        grid: of an OpenVDB volume, whatever profile is authored.
-        densest: the density that 1 stands for in this grid.
-    """
-    values, authored = attributes.values, attributes.attribute_of
-
-    def fault(name: str, allowed: str) -> StageError:
-        value = values[name].path if isinstance(values[name], Sdf.AssetPath) else values[name]
-        return StageError(f"{attributes.path}: {authored.get(name, full_name_of(name))} = {value!r}; {allowed}")
-
-    _check_ranges(attributes, fault)
-    phase = _phase(attributes, fault, notes)
-    if values["angstrom"] != 0.0:
-        notes.info(
-            attributes.path,
-            "its Angstrom exponent shows in 8, 16 or 31 wavelength bands; R, G and B all get the extinction at 550 nm",
-        )
-    profile: Any = values["profile"] if grid is None else "grid"
-    if grid is None and profile == "grid":
-        grid = _density_grid(values["densityGrid"], stage, fault)
-    elif grid is None and profile == "patchy":
-        grid, profile = patchy(values["outerScale"], values["deviation"], seed=values["seed"]), "grid"
-    elif grid is None and "densityGrid" in authored:
-        notes.warn(
-            attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
-        )
-    sigma_t, contrast = values["sigma_t"], WMO_CONTRAST
-    if sigma_t is None:
-        contrast = values["contrast"]
-        sigma_t = float(extinction_from_visibility(values["mor"], contrast=contrast))
-        if "mor" not in authored and values["rate"] is None and not values["sizes"]:
-            notes.info(attributes.path, f"fog without a visibility gets {DEFAULT_MOR_M:g} m; author {PREFIX}mor [m]")
-    try:
-        medium = FogMedium(
-            sigma_t * densest,
-            values["albedo"],
-            values["g"],
-            profile,
-            base_m,
-            values["scaleHeight"],
-            phase=phase,
-            angstrom=values["angstrom"],
-            grid=grid,
-            contrast=contrast,
-        )
-    except ParameterError as problem:
-        name = "sigma_t" if "sigma_t" in authored else "mor"
-        raise fault(name, str(problem)) from problem
-    return _weather(attributes, medium, densest, fault, notes)
-
-
-def _weather(attributes: FogAttributes, fog: FogMedium, densest: float, fault: Fault, notes: Diagnostics) -> FogMedium:
-    """The medium of the kind that is authored, with what is authored to be in it too, where the fog would be."""
-    kind, rate, also = (attributes.values[name] for name in ("kind", "rate", "also"))
-    if rate is not None and not KINDS[kind].rated:
-        raise fault("rate", "rain and snow have a rate; all else has a visibility, synfog:fog:mor")
-    sizes, authored = _sizes(attributes, fault), attributes.attribute_of
-    medium = fog
-    try:
-        if kind != FOG or sizes is not None:
-            counted = rate is not None or (sizes is not None and not {"mor", "sigma_t"} & set(authored))
-            seen_m = None if counted else fog.visibility_m
-            of_kind = medium_of(kind, rate_mm_h=None if sizes is not None else rate, mor_m=seen_m, sizes=sizes)
-            sigma_t = of_kind.sigma_t_per_m * densest if counted else fog.sigma_t_per_m
-            names = ("albedo", "phase", "colours", "angstrom", "falls")
-            medium = replace(fog, sigma_t_per_m=sigma_t, **{name: getattr(of_kind, name) for name in names})
-    except ParameterError as problem:
-        name = "sizes" if sizes is not None else "rate" if rate is not None else "kind"
-        raise fault(name, str(problem)) from problem
-    warn_beyond(attributes.path, [(kind, rate)], notes)
-    if not also:
-        return medium
-    try:
-        if (more := Fog.named(also)) is None or more.clear:
-            raise ParameterError(fog_fault(also) or "it takes names of media, as rain10 or rain10+haze2000")
-        warn_beyond(attributes.path, more.kinds, notes)
-        added = more.over(medium)
-        return joined([medium, replace(added, sigma_t_per_m=added.sigma_t_per_m * densest)])
-    except ParameterError as problem:
-        raise fault("also", str(problem)) from problem
-
-
-def _sizes(attributes: FogAttributes, fault: Fault) -> Sizes | None:
-    """The size distribution that is authored, or None for the kind's own."""
-    values, authored = attributes.values, attributes.attribute_of
-    numbers = {name: values[name] for name in OF_SIZES if name in authored}
-    if not values["sizes"]:
-        if numbers:
-            raise fault(
-                min(numbers), "it is a number of synfog:medium:sizes 'gamma' or 'lognormal', which is not authored"
-            )
-        return None
-    try:
-        return sizes_of(values["sizes"], values["kind"], values["rate"], **numbers)
-    except ParameterError as problem:
-        raise fault("sizes", str(problem)) from problem
-
-
-def warn_beyond(path: str, media: Sequence[tuple[str | None, float | None]], notes: Diagnostics) -> None:
-    """Note where a medium, by its kind and rate [mm/h], leaves what its tables were measured for.
-
-    Of desert dust: Koepke and Hess, Appl. Opt. 27, 2422 (1988); grains scatter more than spheres about 120 degrees.
-    """
-    for kind, rate in media:
-        if kind is not None and rate is not None and rate > (most := HEAVIEST_MM_H[kind]):
-            notes.warn(
-                path,
-                f"{kind} of {rate:g} mm/h: its drop sizes were measured up to {most:g} mm/h and are a guess here",
-            )
-        if kind == "dust":
-            notes.info(
-                path,
-                "dust: its grains are drawn as spheres; real ones send more light to the side, which shows beside "
-                "lamps at night",
-            )
-
-
-DIM = 0.1
-"""Share of daylight below which a scene in a medium that absorbs is taken for an accident."""
-
-
-def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) -> None:
-    """Note a layer that lets hardly any daylight down to the camera.
-
-    By the diffusion exponent sqrt(3 (1 - albedo) (1 - albedo g)), at most 1, for each optical depth above (van de
-    Hulst, Multiple Light Scattering (1980), chapter 5): right within a factor of 2 at the limit.
-    """
-    zenith = np.array([[0.0, 0.0, 1.0]])
-    for layer in fog:
-        medium = layer.medium
-        if layer.parent is not None or not layer.boundary.contains(eye[None])[0] or layer.boundary.kind == "mesh":
-            continue
-        _, leaves = layer.boundary.interval(eye[None], zenith)
-        depth = float(layer.optical_depth(eye[None], eye[None] + leaves[:, None] * zenith)[0])
-        exponent = 3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g)
-        share = math.exp(-depth * min(1.0, math.sqrt(exponent)))
-        if share < DIM:
-            notes.warn(
-                layer.path,
-                f"it absorbs, and lets about {100.0 * share:.1g} % of daylight down to the camera; thin it with "
-                f"height, as smoke100_scale50 does, or give it a smaller boundary",
-            )
-
-
-def _check_ranges(attributes: FogAttributes, fault: Fault) -> None:
-    """Refuse values of fog attributes that have no meaning.
-
-    Raises:
-        StageError: by `fault`.
-    """
-    values = attributes.values
-    for name, words in (("phase", PHASES), ("profile", PROFILES), ("kind", tuple(KINDS))):
-        if values[name] not in words:
-            raise fault(name, f"it takes {', '.join(words)}.{did_you_mean(values[name], words)}")
-    ranges: list[tuple[str, bool, str]] = [
-        ("mor", values["mor"] > 0.0, "a visibility is above 0 m"),
-        ("sigma_t", values["sigma_t"] is None or values["sigma_t"] >= 0.0, "an extinction is 0 1/m or more"),
-        ("contrast", 0.0 < values["contrast"] < 1.0, "a contrast threshold lies between 0 and 1; the WMO's is 0.05"),
-        ("albedo", 0.0 <= values["albedo"] <= 1.0, "an albedo is 0 to 1"),
-        ("g", -1.0 < values["g"] < 1.0, "a mean cosine lies between -1 and 1"),
-        ("scaleHeight", values["scaleHeight"] > 0.0, "a scale height is above 0 m"),
-        ("outerScale", SCALES_M[0] <= values["outerScale"] <= SCALES_M[1], "an outer scale is 0.5 to 1000 m"),
-        ("deviation", 0.0 <= values["deviation"] <= MOST_DEVIATION, "a relative deviation is 0 to 2"),
-        ("seed", values["seed"] >= 0, "a seed is 0 or more"),
-        (
-            "angstrom",
-            ANGSTROM[0] <= values["angstrom"] <= ANGSTROM[1],
-            f"an Angstrom exponent is {ANGSTROM[0]:g} to {ANGSTROM[1]:g}; fog has 0",
-        ),
-    ]
-    for name, fits, allowed in ranges:
-        if not fits:
-            raise fault(name, allowed)
-
-
-def _phase(attributes: FogAttributes, fault: Fault, notes: Diagnostics) -> Phase | None:
-    """The phase function, or None for Henyey-Greenstein's with the attribute g."""
-    kind, diameter = attributes.values["phase"], attributes.values["dropletDiameter"]
-    if kind == "hg":
-        if diameter is not None:
-            notes.info(
-                attributes.path,
-                "the droplet diameter is not used with phase 'hg', which g alone shapes; 'droplets' and 'mie' use it",
-            )
-        return None
-    if "g" in attributes.attribute_of:
-        notes.info(attributes.path, f"g is not used with phase {kind!r}, which the droplet diameter shapes")
-    if diameter is None:
-        raise fault(
-            "dropletDiameter",
-            f"phase {kind!r} needs a diameter [micrometres]; radiation fog has 6 to 10, advection fog 15 to 25",
-        )
-    try:
-        return Droplets(diameter) if kind == "droplets" else Tabulated.mie(diameter)
-    except ParameterError as problem:
-        raise fault("dropletDiameter", str(problem)) from problem
-
-
-def _density_grid(asset: Sdf.AssetPath | None, stage: Usd.Stage, fault: Fault) -> DensityGrid:
-    """The one array of a .npy or .npz file below the stage's folder or an allowed one."""
-    if asset is None or not asset.path:
-        raise fault("densityGrid", "profile 'grid' needs a .npy or .npz file")
-    if Ar.IsPackageRelativePath(asset.resolvedPath):
-        raise fault("densityGrid", "a grid within a .usdz is not read; put it beside the package's content in a folder")
-    if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
-        raise fault("densityGrid", "there is no such file")
-    path = Path(asset.resolvedPath)
-    if (problem := fence_of(stage).fault(path)) is not None:
-        raise fault("densityGrid", problem)
-    if path.suffix not in (".npy", ".npz"):
-        raise fault("densityGrid", "a grid is a .npy or .npz file")
-    try:
-        return DensityGrid(_one_array(path))
-    except (ParameterError, OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
-        raise fault("densityGrid", str(problem).strip() or "the file is damaged") from problem
-
-
 def fog_box(
     prim: Usd.Prim, material: UsdShade.Material, time: Usd.TimeCode, notes: Diagnostics, *, is_blender: bool
 ) -> bool | None:
@@ -616,9 +377,8 @@ def fog_box(
     )
     if not named and not is_blender:
         return False
-    polygons = read_mesh(prim, time, notes)
-    triangles = part(polygons, None) if polygons is not None else None
-    if triangles is not None and is_closed(triangles.positions, triangles.faces):
+    triangles = _triangles(prim, time, notes)
+    if triangles is not None and _is_closed(triangles):
         return True
     if named:
         notes.warn(
@@ -658,8 +418,6 @@ def rtx_fog(stage: Usd.Stage, notes: Diagnostics) -> None:
 
 # -- OpenVDB
 
-VDB_TOOL = "vdb2npz.py"
-
 
 def vdb_fault(prim: Usd.Prim) -> str | None:
     """Why a Volume cannot be fog, with the way out; None where a .npz stands beside its .vdb."""
@@ -692,76 +450,28 @@ def _vdb_path(prim: Usd.Prim) -> Path | None:
     return None
 
 
-def _vdb_volume(prim: Usd.Prim, attributes: FogAttributes, matrix: Array, notes: Diagnostics) -> FogVolume:
-    """Fog of an OpenVDB volume, from the .npz that was made of it.
+def _vdb(prim: Usd.Prim, matrix: Array, notes: Diagnostics) -> tuple[Boundary, DensityGrid, float]:
+    """Box, densities and the largest of them of an OpenVDB volume, from the .npz that was made of it.
 
     Raises:
         StageError: there is none, or it is damaged.
     """
-    path = prim.GetPath()
-    if (problem := vdb_fault(prim)) is not None:
+    path, file = prim.GetPath(), _vdb_path(prim)
+    if (problem := vdb_fault(prim)) is not None or file is None:
         raise StageError(f"{path}: {problem}")
-    file = _vdb_path(prim)
-    assert file is not None
     file = file.with_suffix(".npz")
     if (problem := fence_of(prim.GetStage()).fault(file)) is not None:
         raise StageError(f"{path}: {problem}")
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            if any(member.file_size > _MAX_BYTES for member in archive.zip.infolist()):
-                raise ParameterError(f"it unpacks to more than {_MAX_BYTES} bytes")
-            low, high = (np.asarray(archive[name], dtype=np.float64).reshape(3) for name in ("low", "high"))
-            grid, densest = DensityGrid(archive["density"]), float(archive["largest"])
-        if not (np.isfinite([low, high]).all() and (high > low).all() and 0.0 < densest < math.inf):
-            raise ParameterError(f"its box from {low} to {high} or its density {densest:g} makes no sense")
-    except (ParameterError, OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as problem:
-        raise StageError(
-            f"{path}: {file.name}: {str(problem).strip() or 'damaged'}; make it again with {VDB_TOOL}"
-        ) from problem
-    boundary = Boundary("box", matrix @ _box(low, high))
-    voxels = " x ".join(map(str, grid.values.shape[::-1]))
+        grid, densest, low, high = read_vdb(file)
+    except ParameterError as problem:
+        raise StageError(f"{path}: {problem}") from problem
     notes.info(
         path,
-        f"OpenVDB volume from {file.name}, {voxels} voxels; where its density is 1 the extinction is that of its fog "
-        f"attributes",
+        f"OpenVDB volume from {file.name}, {' x '.join(map(str, grid.values.shape[::-1]))} voxels; where its density "
+        f"is 1 the extinction is that of its fog attributes",
     )
-    return FogVolume(
-        str(path),
-        boundary,
-        _medium(attributes, _lowest(boundary), prim.GetStage(), notes, grid=grid, densest=densest),
-        attributes.values["priority"],
-    )
-
-
-def _one_array(path: Path) -> npt.NDArray[Any]:
-    """The array of a file, without running code in it, and of a size that is known before it is read."""
-    if path.suffix == ".npy":
-        array: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-        return array
-    with np.load(path, allow_pickle=False) as archive:
-        if len(archive.files) != 1:
-            raise ParameterError(
-                f"the file holds {len(archive.files)} arrays ({', '.join(archive.files[:5])}); it holds one"
-            )
-        (member,) = archive.zip.infolist()
-        if member.file_size > _MAX_BYTES:
-            raise ParameterError(f"the file unpacks to {member.file_size} bytes; at most {_MAX_BYTES} are read")
-        with archive.zip.open(member) as packed:
-            version = np.lib.format.read_magic(packed)
-            shape, _, kind = (
-                np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            )(packed)
-            if math.prod(shape) * kind.itemsize > _MAX_BYTES:
-                raise ParameterError(f"the file claims an array of shape {shape}; at most {MAX_VOXELS} voxels are read")
-        return np.asarray(archive[archive.files[0]])
-
-
-def _lowest(boundary: Boundary) -> float:
-    if boundary.vertices is not None:
-        return float(boundary.vertices[:, 2].min())
-    row = boundary.to_world[2, :3]
-    reach = np.abs(row).sum() if boundary.kind == "box" else np.linalg.norm(row)
-    return float(boundary.to_world[2, 3] - reach)
+    return Boundary("box", matrix @ _box(low, high)), grid, densest
 
 
 def _size(boundary: Boundary) -> float:

@@ -178,8 +178,7 @@ def test_a_street_in_it_is_that_of_volpath(name):
 @pytest.mark.parametrize("names", [("rain100", "mor60"), ("dust60", "haze90")], ids="+".join)
 def test_a_street_in_two_media_is_that_in_one_of_their_sum(names):
     """Against an extinction, an albedo and a phase function that are added up here, in a table of other rows: by the
-    same random numbers, so that means agree within 0.1 %
-    where others' noise is 1 %.
+    same random numbers, so that means agree within 0.1 % where others' noise is 1 %.
     """
     parts = [Fog.named(name).over(FogMedium(1.0)) for name in names]
     stops = np.array([part.sigma_t_per_m for part in parts])

@@ -23,7 +23,7 @@ from synfog_usd.scene.testing import box
 from synfog_usd.stage import budget
 from synfog_usd.stage.open import dependencies, open_stage
 from synfog_usd.stage.schema import full_name_of
-from synfog_usd.translate import translate, volume
+from synfog_usd.translate import medium, translate, volume
 
 TYPES = Sdf.ValueTypeNames
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "usd"
@@ -310,7 +310,7 @@ def test_a_grid_that_makes_no_sense_is_refused_with_prim_and_attribute(saved, na
     """Bad values, other shapes and formats, pickled objects, and headers that claim more than there is or than we
     take, which here is 8 MiB.
     """
-    monkeypatch.setattr(volume, "_MAX_BYTES", (1 << 23) + 4096)
+    monkeypatch.setattr(medium, "_MAX_BYTES", (1 << 23) + 4096)
     stage, folder = saved("./" + name)
     GRIDS[name](folder / name)
     with pytest.raises(StageError, match=rf"/Fog: synfog:fog:densityGrid = './{name}'; "):
@@ -567,6 +567,19 @@ def test_a_damaged_npz_of_a_volume_is_refused(tmp_path, change):
     arrays = {name: value for name, value in (vdb_arrays() | change).items() if value is not None}
     with pytest.raises(StageError, match=r"/Bank: bank.npz: .*make it again with vdb2npz.py"):
         translate(vdb_stage(tmp_path / "a", **arrays))
+
+
+def test_a_npz_of_a_volume_that_claims_more_than_is_read_is_refused(tmp_path):
+    """2 TiB, by its header alone."""
+    stage = vdb_stage(tmp_path / "a", **vdb_arrays())
+    file = tmp_path / "a" / "volumes" / "bank.npz"
+    with zipfile.ZipFile(file) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()} | {"density.npy": _header((1 << 13,) * 3)}
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    with pytest.raises(StageError, match=r"/Bank: bank.npz: the file claims an array"):
+        translate(stage)
 
 
 def test_a_npz_that_is_a_link_elsewhere_is_refused(tmp_path):
