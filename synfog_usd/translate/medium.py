@@ -76,15 +76,9 @@ def read_medium(
             attributes.path,
             "its Angstrom exponent shows in 8, 16 or 31 wavelength bands; R, G and B all get the extinction at 550 nm",
         )
+    if grid is None:
+        grid = _grid(attributes, stage, fault, notes)
     profile: Any = values["profile"] if grid is None else "grid"
-    if grid is None and profile == "grid":
-        grid = _density_grid(values["densityGrid"], stage, fault)
-    elif grid is None and profile == "patchy":
-        grid, profile = patchy(values["outerScale"], values["deviation"], seed=values["seed"]), "grid"
-    elif grid is None and "densityGrid" in authored:
-        notes.warn(
-            attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
-        )
     sigma_t, contrast = values["sigma_t"], WMO_CONTRAST
     if sigma_t is None:
         contrast = values["contrast"]
@@ -259,6 +253,20 @@ def _phase(attributes: FogAttributes, fault: Fault, notes: Diagnostics) -> Phase
 
 _DAMAGED = (ParameterError, OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 """What reading a damaged file raises."""
+
+
+def _grid(attributes: FogAttributes, stage: Usd.Stage, fault: Fault, notes: Diagnostics) -> DensityGrid | None:
+    """The densities of profile 'grid' or 'patchy'; None for the others."""
+    values = attributes.values
+    if values["profile"] == "grid":
+        return _density_grid(values["densityGrid"], stage, fault)
+    if values["profile"] == "patchy":
+        return patchy(values["outerScale"], values["deviation"], seed=values["seed"])
+    if "densityGrid" in attributes.attribute_of:
+        notes.warn(
+            attributes.path, f"the density grid is not drawn with profile {values['profile']!r}; set it to 'grid'"
+        )
+    return None
 
 
 def _density_grid(asset: Sdf.AssetPath | None, stage: Usd.Stage, fault: Fault) -> DensityGrid:
