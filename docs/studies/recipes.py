@@ -18,15 +18,15 @@ from synfog_usd.base.errors import ParameterError
 COLUMNS, WIDTH_PX, CAPTION_PX, GAP_PX = 2, 800, 18, 4
 
 
-def sheet(target: Path, files_by_caption: Mapping[str, Path]) -> None:
-    """A JPEG of pictures with their captions, in rows of two.
+def sheet(target: Path, files_by_caption: Mapping[str, Path], width: int = WIDTH_PX, quality: int = 86) -> None:
+    """A JPEG of pictures with their captions, in rows of two, each of a width [pixel].
 
     Raises:
         ParameterError: there is none.
     """
     from PIL import Image, ImageDraw, ImageFont
 
-    captions, width = list(files_by_caption), WIDTH_PX
+    captions = list(files_by_caption)
     if not captions:
         raise ParameterError(f"{target}: no picture, as bridge.png, to put on it")
     pictures = [Image.open(path).convert("RGB") for path in files_by_caption.values()]
@@ -39,7 +39,7 @@ def sheet(target: Path, files_by_caption: Mapping[str, Path]) -> None:
         small = picture.resize((width, round(width * picture.height / picture.width)), Image.Resampling.LANCZOS)
         whole.paste(small, (left, top))
         ImageDraw.Draw(whole).text((left + 6, top + height + 2), caption, (225, 225, 225), ImageFont.load_default(12))
-    files.write_whole(target, lambda path: whole.save(path, format="JPEG", quality=86, optimize=True))
+    files.write_whole(target, lambda path: whole.save(path, format="JPEG", quality=quality, optimize=True))
 
 
 if __name__ == "__main__":

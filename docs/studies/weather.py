@@ -116,7 +116,7 @@ def page(out: Path, images: Path) -> str:
     pictures = []
     for lit in sorted(path for path in out.iterdir() if (path / CLEAR).is_dir()):
         files = {shot.parent.name: shot for shot in sorted(lit.glob("*/srgb.png"))}
-        recipes.sheet(images / f"weather_{lit.name}.jpg", files)
+        recipes.sheet(images / f"weather_{lit.name}.jpg", files, width=480, quality=80)
         pictures.append(f"![{lit.name}: {', '.join(files)}](../images/weather_{lit.name}.jpg)")
     return HEAD.format(optics=optics(), errors=table(out), pictures="\n\n".join(pictures))
 

@@ -183,7 +183,7 @@ def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) ->
     zenith = np.array([[0.0, 0.0, 1.0]])
     for layer in fog:
         medium = layer.medium
-        if layer.parent is not None or not layer.boundary.contains(eye[None])[0] or layer.boundary.kind == "mesh":
+        if not layer.boundary.contains(eye[None])[0] or layer.boundary.kind == "mesh":
             continue
         _, leaves = layer.boundary.interval(eye[None], zenith)
         depth = float(layer.optical_depth(eye[None], eye[None] + leaves[:, None] * zenith)[0])
@@ -192,7 +192,7 @@ def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) ->
         if share < DIM:
             notes.warn(
                 layer.path,
-                f"it absorbs, and lets about {100.0 * share:.1g} % of daylight down to the camera; thin it with "
+                f"it absorbs, and lets about {max(100.0 * share, 1e-3):.1g} % of daylight down to the camera; thin it with "
                 f"height, as smoke100_scale50 does, or give it a smaller boundary",
             )
 

@@ -199,6 +199,13 @@ def test_a_layer_that_absorbs_nearly_all_daylight_is_noted(empty, name, dark):
     assert any("daylight down to the camera" in text for text in notes) == dark
 
 
+def test_a_camera_in_a_black_plume_is_noted_with_the_plume(empty):
+    stage = empty()
+    fog_box(stage, "/Fog", mor=300.0)
+    fog_box(stage, "/Plume", half=2.0, mor=0.2, kind="smoke")
+    assert [note.path for note in translate(stage).notes if "daylight down to the camera" in note.text] == ["/Plume"]
+
+
 def test_dust_says_what_its_spheres_get_wrong(empty):
     stage = empty()
     fog_box(stage, "/Fog", also="dust500")
