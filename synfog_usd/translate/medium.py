@@ -188,11 +188,11 @@ def warn_of_night(fog: tuple[FogVolume, ...], eye: Array, notes: Diagnostics) ->
         _, leaves = layer.boundary.interval(eye[None], zenith)
         depth = float(layer.optical_depth(eye[None], eye[None] + leaves[:, None] * zenith)[0])
         exponent = 3.0 * (1.0 - medium.albedo) * (1.0 - medium.albedo * medium.g)
-        share = math.exp(-depth * min(1.0, math.sqrt(exponent)))
+        share = max(math.exp(-depth * min(1.0, math.sqrt(exponent))), 1e-5)
         if share < DIM:
             notes.warn(
                 layer.path,
-                f"it absorbs, and lets about {max(100.0 * share, 1e-3):.1g} % of daylight down to the camera; thin it with "
+                f"it absorbs, and lets about {100.0 * share:.1g} % of daylight down to the camera; thin it with "
                 f"height, as smoke100_scale50 does, or give it a smaller boundary",
             )
 
