@@ -202,6 +202,13 @@ def test_a_part_of_fog_scatters_less_than_it_stops():
     assert isinstance(Fog(100.0).over(FogMedium(0.1)).phase_function, HenyeyGreenstein)
 
 
+def test_haze_with_some_soot_is_as_bright_as_smoke_of_wood():
+    """Albedo of 0.95 to 0.97 in midvisible light where forests burn: Sayer et al., Atmos. Chem. Phys. 14, 11493
+    (2014).
+    """
+    assert 0.95 <= Fog.named("haze100+smoke1500").over(FogMedium(1.0)).albedo <= 0.97
+
+
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
