@@ -11,10 +11,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import shapely
 from scipy import integrate
 
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.world import compose
+from synfog_usd.world.roads import crossing_built
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.traffic import opendrive
 from synfog_usd.world.traffic.paths import routes
@@ -147,3 +149,24 @@ def test_another_name_is_one_clear_line(tmp_path):
     """Nothing is written over a file of another kind."""
     with pytest.raises(RecipeError, match=r"--opendrive .*ends in \.xodr"):
         compose.compose("residential", tmp_path / "a.usda", opendrive=tmp_path / "a.xml")
+
+
+def test_bays_of_the_crossing_are_where_its_stage_has_them(tmp_path):
+    """Rows of repeated parking spaces cover the parking lanes of the stage, and nothing else."""
+    site, root = drawn(tmp_path, "crossroads", 1)
+    boxes = []
+    for road in root.iter("road"):
+        for bay in road.iter("object"):
+            if bay.get("type") != "parkingSpace":
+                continue
+            row = bay.find("repeat")
+            half, step = number(bay, "length") / 2.0, number(row, "distance")
+            for k in range(round(number(row, "length") / step) + 1):
+                corners = []
+                for ds, dt in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+                    s, t = number(row, "s") + k * step, number(row, "tStart")
+                    corners.append(place(road, s + ds * half, t + dt * number(bay, "width") / 2.0)[:2])
+                boxes.append(shapely.Polygon(corners))
+    lanes = [one for one in crossing_built.edged_lanes(site) if one.type == "parking"]
+    drawn_bays = shapely.union_all([shapely.Polygon([*one.left[:, :2], *one.right[::-1, :2]]) for one in lanes])
+    assert shapely.union_all(boxes).symmetric_difference(drawn_bays).area < 1e-3 * drawn_bays.area

@@ -62,7 +62,7 @@ def scatters(spec: WorldSpec, crossing: Crossing) -> Sequence[Scatter | None]:
 
 
 def edged_lanes(crossing: Crossing) -> list[lanes.EdgedLane]:
-    """The lanes of both streets, through the crossing, and the bays of the main street."""
+    """The lanes of both streets, through the crossing, the bays of the main street, and the turns to the right."""
     north, west = np.array([0.0, 1.0]), np.array([-1.0, 0.0])
     edged = []
     for ahead, begin, end, inner, outer, kind in (
@@ -78,7 +78,19 @@ def edged_lanes(crossing: Crossing) -> list[lanes.EdgedLane]:
             np.array([(*(s * ahead + aside * right), 0.0) for s in (begin, end)]) for aside in (inner, outer)
         )
         edged.append(lanes.EdgedLane(lanes.TYPES[kind], left_edge, right_edge))
-    return edged
+    return [*edged, *_turns()]
+
+
+def _turns() -> list[lanes.EdgedLane]:
+    """A lane round each kerb."""
+    result = []
+    for x, y, begin in ((1, -1, 180.0), (1, 1, 270.0), (-1, 1, 0.0), (-1, -1, 90.0)):
+        middle = x * (MAIN_HALF + CORNER), y * (SIDE_HALF + CORNER), 0.0
+        angle = np.radians(np.linspace(begin, begin - 90.0, 13))
+        round_it = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+        edges = (middle + radius * round_it for radius in (CORNER + LANE_M, CORNER))
+        result.append(lanes.EdgedLane(lanes.TYPES["lane"], *edges))
+    return result
 
 
 def instanced(spec: WorldSpec, crossing: Crossing) -> list[Instanced]:

@@ -42,6 +42,8 @@ TYPES = {
 """Kind of a strip -> type of a lane."""
 SHORTEST_M = 0.2
 """Of a piece of the ring."""
+EVEN_M = 2.0
+"""Of pieces of the ring: SUMO takes points 2 m apart and one at the end, and calls a short rest a sharp turn."""
 CENTRE = {"dashed": "broken", "solid": "solid", "double": "solid solid", "none": "none"}
 
 
@@ -162,25 +164,31 @@ def _of_crossing(site: Crossing) -> Network:
     """Four arms from the lines at which traffic waits outwards, and every way from one to another."""
     network = Network()
     lane, half = crossing.LANE_M, crossing.SIDE_HALF
-    for degrees, begin, end, width, parking in (
-        (90.0, STOP, crossing.NORTH, lane, crossing.MAIN_HALF - lane),
-        (180.0, STOP_SIDE, crossing.SIDE, half, 0.0),
-        (270.0, STOP, crossing.SOUTH, lane, crossing.MAIN_HALF - lane),
-        (0.0, STOP_SIDE, crossing.SIDE, half, 0.0),
+    (far, near), beyond = crossing.BAYS_Y
+    kerb = crossing.MAIN_HALF - lane
+    for degrees, begin, end, width, parked in (
+        (90.0, STOP, crossing.NORTH, lane, beyond),
+        (180.0, STOP_SIDE, crossing.SIDE, half, None),
+        (270.0, STOP, crossing.SOUTH, lane, (-near, -far)),
+        (0.0, STOP_SIDE, crossing.SIDE, half, None),
     ):
         h = math.radians(degrees)
+        beside = (("shoulder", kerb),) if parked else ()  # SUMO takes type parking for a lane that has to go on
         strips = [
             Strip(side * number, kind, [(0.0, size, 0.0, 0.0, 0.0)])
             for side in (1, -1)
-            for number, (kind, size) in enumerate(
-                (("driving", width), *((("parking", parking),) if parking else ())), 1
-            )
+            for number, (kind, size) in enumerate((("driving", width), *beside), 1)
+        ]
+        bays = [
+            (parked[0] - begin + crossing.BAY_M / 2.0, count, crossing.BAY_M, side * (lane + kerb / 2.0), kerb)
+            for side in ((1, -1) if parked else ())
+            for count in (round((parked[1] - parked[0]) / crossing.BAY_M),)
         ]
         piece = LinePiece(begin * math.cos(h), begin * math.sin(h), h, end - begin)
         ends = ("junction", 1, ""), None
         network.roads.append(
-            OpenRoad(len(network.roads) + 1, "arm", [piece], strips, centre="broken", ends=ends)
-        )  # fmt: skip
+            OpenRoad(len(network.roads) + 1, "arm", [piece], strips, centre="broken", ends=ends, bays=bays)
+        )
     arms = network.roads[:4]
     ways = []
     for arm in arms:
@@ -220,7 +228,7 @@ def _of_roundabout(site: Roundabout) -> Network:
         lane = Strip(-1, "driving", [(0.0, ring_width, 0.0, 0.0, 0.0)])
         ends = ("junction", number + 1, ""), ("junction", (number + 1) % count + 1, "")
         offset = [(0.0, ring_width / 2.0, 0.0, 0.0, 0.0)]
-        network.roads.append(OpenRoad(len(network.roads) + 1, "ring", [piece], [lane], offset=offset, ends=ends))
+        network.roads.append(OpenRoad(len(network.roads) + 1, "ring", _even(piece), [lane], offset=offset, ends=ends))
     for number, mouth in enumerate(mouths):
         here, before = count + number + 1, count + (number - 1) % count + 1
         arm, junction = number + 1, number + 1
@@ -239,6 +247,13 @@ def _along_ring(begin: float, end: float, radius: float) -> LinePiece:
     turn = (end - begin) % (2.0 * math.pi)
     x, y = radius * math.cos(begin), radius * math.sin(begin)
     return LinePiece(x, y, begin + math.pi / 2.0, turn * radius, 1.0 / radius, 1.0 / radius)
+
+
+def _even(arc: LinePiece) -> list[LinePiece]:
+    """An arc in even pieces of at most EVEN_M."""
+    count = math.ceil(arc.length / EVEN_M)
+    cut = [replace(arc, length=number * arc.length / count).after() for number in range(count)]
+    return [replace(arc, x=x, y=y, hdg=h, length=arc.length / count) for x, y, h in cut]
 
 
 @dataclass(frozen=True)

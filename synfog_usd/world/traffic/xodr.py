@@ -108,6 +108,8 @@ class OpenRoad:
         ends: what is before and after it: ('road' or 'junction', number, 'start', 'end' or '').
         zebras: (station, length along the road, width across) of crosswalks [m].
         shape: heights of the surface over the line, by t instead of s [m].
+        bays: (station of the first bay's middle, number, length along the road, t of its middle, width) of rows of
+            parking bays [m].
     """
 
     number: int
@@ -121,6 +123,7 @@ class OpenRoad:
     ends: tuple[tuple[str, int, str] | None, tuple[str, int, str] | None] = (None, None)
     zebras: Sequence[tuple[float, float, float]] = ()
     shape: Sequence[Cubic] = ()
+    bays: Sequence[tuple[float, int, float, float, float]] = ()
 
     @property
     def length(self) -> float:
@@ -221,13 +224,21 @@ def _write_road(root: ElementTree.Element, road: OpenRoad) -> None:
         group = _put(section, "right")
         for strip in right:
             _write_lane(group, strip)
-    if road.zebras:
-        objects = _put(element, "objects")
-        for number, (s, along, across) in enumerate(road.zebras):
-            _put(
-                objects, "object", id=str(1000 * road.number + number), name="zebra", type="crosswalk", s=s, t=0.0,
-                zOffset=0.0, hdg=0.0, pitch=0.0, roll=0.0, orientation="none", length=along, width=across, height=0.01,
-            )  # fmt: skip
+    if road.zebras or road.bays:
+        _write_objects(_put(element, "objects"), road)
+
+
+def _write_objects(objects: ElementTree.Element, road: OpenRoad) -> None:
+    flat = {"zOffset": 0.0, "hdg": 0.0, "pitch": 0.0, "roll": 0.0, "orientation": "none", "height": 0.01}
+    for number, (s, along, across) in enumerate(road.zebras):
+        _put(objects, "object", id=str(1000 * road.number + number), name="zebra", type="crosswalk", s=s, t=0.0,
+             length=along, width=across, **flat)  # fmt: skip
+    for number, (s, count, along, t, across) in enumerate(road.bays, len(road.zebras)):
+        row = _put(objects, "object", id=str(1000 * road.number + number), name="bay", type="parkingSpace", s=s, t=t,
+                   length=along, width=across, **flat)  # fmt: skip
+        _put(row, "repeat", s=s, length=(count - 1) * along, distance=along, tStart=t, tEnd=t,
+             heightStart=0.01, heightEnd=0.01, zOffsetStart=0.0, zOffsetEnd=0.0)  # fmt: skip
+        _put(row, "parkingSpace", access="car")
 
 
 def _write_lane(group: ElementTree.Element, strip: Strip) -> None:
