@@ -164,25 +164,25 @@ def _of_crossing(site: Crossing) -> Network:
     """Four arms from the lines at which traffic waits outwards, and every way from one to another."""
     network = Network()
     lane, half = crossing.LANE_M, crossing.SIDE_HALF
-    (far, near), beyond = crossing.BAYS_Y
-    kerb = crossing.MAIN_HALF - lane
-    for degrees, begin, end, width, parked in (
-        (90.0, STOP, crossing.NORTH, lane, beyond),
-        (180.0, STOP_SIDE, crossing.SIDE, half, None),
-        (270.0, STOP, crossing.SOUTH, lane, (-near, -far)),
-        (0.0, STOP_SIDE, crossing.SIDE, half, None),
+    (south_far, south_near), north = crossing.BAYS_Y
+    kerb, bay_m = crossing.MAIN_HALF - lane, crossing.BAY_M
+    for degrees, begin, end, width, rows in (
+        (90.0, STOP, crossing.NORTH, lane, [north]),
+        (180.0, STOP_SIDE, crossing.SIDE, half, []),
+        (270.0, STOP, crossing.SOUTH, lane, [(-south_near, -south_far)]),
+        (0.0, STOP_SIDE, crossing.SIDE, half, []),
     ):
         h = math.radians(degrees)
-        beside = (("shoulder", kerb),) if parked else ()  # SUMO takes type parking for a lane that has to go on
+        beside = (("shoulder", kerb),) if rows else ()  # SUMO takes type parking for a lane that has to go on
         strips = [
             Strip(side * number, kind, [(0.0, size, 0.0, 0.0, 0.0)])
             for side in (1, -1)
             for number, (kind, size) in enumerate((("driving", width), *beside), 1)
         ]
         bays = [
-            (parked[0] - begin + crossing.BAY_M / 2.0, count, crossing.BAY_M, side * (lane + kerb / 2.0), kerb)
-            for side in ((1, -1) if parked else ())
-            for count in (round((parked[1] - parked[0]) / crossing.BAY_M),)
+            (low - begin + bay_m / 2.0, round((high - low) / bay_m), bay_m, side * (lane + kerb / 2.0), kerb)
+            for low, high in rows
+            for side in (1, -1)
         ]
         piece = LinePiece(begin * math.cos(h), begin * math.sin(h), h, end - begin)
         ends = ("junction", 1, ""), None

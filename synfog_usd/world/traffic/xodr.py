@@ -229,7 +229,14 @@ def _write_road(root: ElementTree.Element, road: OpenRoad) -> None:
 
 
 def _write_objects(objects: ElementTree.Element, road: OpenRoad) -> None:
-    flat = {"zOffset": 0.0, "hdg": 0.0, "pitch": 0.0, "roll": 0.0, "orientation": "none", "height": 0.01}
+    flat: dict[str, str | float] = {
+        "zOffset": 0.0,
+        "hdg": 0.0,
+        "pitch": 0.0,
+        "roll": 0.0,
+        "orientation": "none",
+        "height": 0.01,
+    }
     for number, (s, along, across) in enumerate(road.zebras):
         _put(objects, "object", id=str(1000 * road.number + number), name="zebra", type="crosswalk", s=s, t=0.0,
              length=along, width=across, **flat)  # fmt: skip
