@@ -349,3 +349,11 @@ EDGE = """(box) => {
   return covered[n] > 100 ? [line[4 * n], line[4 * n + 1], line[4 * n + 2]] : null;
 }"""
 """The colour of the left edge of a box in its middle."""
+
+
+def test_scenes_of_nuscenes_begin_at_times_of_their_own(exported):
+    """The devkit's `list_scenes` sorts them by their first timestamp, and cannot tell two that begin together."""
+    out = exported("nuscenes") / nuscenes.VERSION
+    scenes, samples = (json.loads((out / f"{table}.json").read_text()) for table in ("scene", "sample"))
+    begins = {row["token"]: row["timestamp"] for row in samples}
+    assert sorted(begins[row["first_sample_token"]] for row in scenes) == [0, 3_600_000_000, 7_200_000_000]

@@ -48,6 +48,8 @@ VISIBILITIES = (("v0-40", 0.4), ("v40-60", 0.6), ("v60-80", 0.8), ("v80-100", ma
 
 ATTRIBUTES = ("vehicle.moving", "vehicle.stopped", "cycle.with_rider", "pedestrian.moving", "pedestrian.standing")
 STANDS_M_S = 0.1
+APART_US = 3_600_000_000
+"""From where one scene begins to the next: the devkit cannot list two that begin together."""
 AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]).T
 """From a camera, x right, y down, z ahead, to the ego frame."""
 
@@ -60,8 +62,8 @@ def write(pictures: Callable[[], Iterable[LabelledPicture]], folder: ExportFolde
         first = frames[0]
         scene = "-".join(plain(word) for word in (first.source, first.lighting, first.fog, first.pipeline))
         together.setdefault(scene, {})[name] = frames
-    for name, cameras in together.items():
-        _add_scene(tables, folder, name, list(cameras.values()), chosen)
+    for number, (name, cameras) in enumerate(together.items()):
+        _add_scene(tables, folder, (name, number * APART_US), list(cameras.values()), chosen)
     tables.add("map", "none", log_tokens=[token("log", "synfog")], category="semantic_prior", filename="maps/none.png")
     folder.png("maps/none.png", np.zeros((1, 1), dtype=np.uint8))
     for table in TABLES:
@@ -109,13 +111,18 @@ class _Tables:
 
 
 def _add_scene(
-    tables: _Tables, folder: ExportFolder, name: str, cameras: Sequence[Sequence[LabelledPicture]], chosen: Boxed
+    tables: _Tables,
+    folder: ExportFolder,
+    scene: tuple[str, int],
+    cameras: Sequence[Sequence[LabelledPicture]],
+    chosen: Boxed,
 ) -> None:
-    """A scene of one clip for each camera."""
+    """A scene, its name and when it begins [us], of one clip for each camera."""
+    name, begins_us = scene
     samples: list[str] = []
     for picture in cameras[0]:
         assert picture.moment is not None
-        time_us = round(picture.moment.time_s * 1e6)
+        time_us = begins_us + round(picture.moment.time_s * 1e6)
         samples.append(
             tables.add("sample", name, picture.moment.frame, timestamp=time_us, scene_token=token("scene", name))
         )
