@@ -68,9 +68,9 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(_PLACES)}")
     module, _, inner = _PLACES[name].partition(":")
-    found = getattr(importlib.import_module(f"{__name__}.{module}"), inner or name)
-    globals()[name] = found
-    return found
+    value = getattr(importlib.import_module(f"{__name__}.{module}"), inner or name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -133,7 +133,7 @@ Sizes = GammaSizes | LogNormalSizes
 def rain_sizes(rate_mm_h: float) -> GammaSizes:
     """Drops of rain by diameter: Marshall and Palmer, J. Meteor. 5, 165 (1948).
 
-    At 1 to 30 mm/h its drops fall with 12 to 19 % more water than the rate, by `rain_speed`: too many are below 1 mm.
+    At 1 to 30 mm/h its drops carry up to 19 % more water than the rate, by `rain_speed`: too many are below 1 mm.
     """
     return GammaSizes(8000.0, 0.0, 4.1 * _checked("rain", rate_mm_h) ** -0.21)
 
@@ -171,7 +171,7 @@ DROPLETS: Mapping[str, tuple[float, float, float, float]] = {
     "continental-haze": (100.0, 2.0, 0.5, 0.07),
 }
 """Name -> number [1/cm^3], alpha, power and mode [um] of `GammaSizes.of_radii`: Rasshofer, Spies and Spies, Adv. Radio
-Sci. 9, 49 (2011), table 1."""
+Sci. 9 (2011), table 1."""
 
 PARAMETERS = {"gamma": ("number", "alpha", "power", "mode"), "lognormal": ("number", "median", "spread")}
 """Shapes of a distribution of radii -> their numbers: particles [1/cm^3], alpha and power [1], most frequent or median
@@ -231,7 +231,7 @@ def flake_diameter(melted_mm: npt.ArrayLike) -> Array:
 def snow_speed(flake_mm: npt.ArrayLike) -> Array:
     """Terminal speed [m/s] of flakes of diameters [mm], any shape.
 
-    Aggregates of unrimed dendrites: Locatelli and Hobbs, J. Geophys. Res. 79, 2185 (1974), table 1, for 2 to 10 mm.
+    Aggregates of unrimed dendrites: Locatelli and Hobbs, J. Geophys. Res. 79 (1974), table 1; for 2 to 10 mm.
     """
     return np.asarray(0.8 * np.asarray(flake_mm, dtype=np.float64) ** 0.16)
 

@@ -84,7 +84,7 @@ standard deviation [px]."""
 LEFT_BY_DENOISING = 0.75
 """Mottle of a denoised picture over `mottle_of_noise` of its samples: 0.64 to 1.03 on five streets from 8 samples on.
 
-With 2 samples of a pixel it is up to twice as large, and mottle is told too low.
+With 2 samples of a pixel it is up to twice as large, and the estimate of mottle is too low.
 """
 
 

@@ -264,17 +264,17 @@ def taken_over(world: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str,
     return {key: before[key] if key in before and _same(part, before[key]) else part for key, part in world.items()}
 
 
-def _same(one: Any, other: Any) -> bool:
-    """Whether parts of two worlds mean the same; of large arrays only one that is the other does."""
-    if one is other:
+def _same(part: Any, before: Any) -> bool:
+    """Whether parts of two worlds mean the same; large arrays do only where they are one object."""
+    if part is before:
         return True
-    if type(one) is not type(other):
+    if type(part) is not type(before):
         return False
-    if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_same(part, other[key]) for key, part in one.items())
-    if isinstance(one, np.ndarray):
-        return one.size <= _SMALL and one.dtype == other.dtype and np.array_equal(one, other)
-    return bool(one == other)
+    if isinstance(part, Mapping):
+        return part.keys() == before.keys() and all(_same(value, before[key]) for key, value in part.items())
+    if isinstance(part, np.ndarray):
+        return part.size <= _SMALL and part.dtype == before.dtype and np.array_equal(part, before)
+    return bool(part == before)
 
 
 _SMALL = 64

@@ -267,8 +267,8 @@ def _home(stage: Usd.Stage, space: Space, time: Usd.TimeCode, eye: Camera) -> Ar
         or not math.isfinite(stage.GetStartTimeCode())
     ):
         return place
-    begun = at_mid_exposure(stage, Usd.TimeCode(stage.GetStartTimeCode()), Diagnostics(), path=eye.path)
-    matrix = UsdGeom.XformCache(begun).GetLocalToWorldTransform(stage.GetPrimAtPath(eye.path))
+    start = at_mid_exposure(stage, Usd.TimeCode(stage.GetStartTimeCode()), Diagnostics(), path=eye.path)
+    matrix = UsdGeom.XformCache(start).GetLocalToWorldTransform(stage.GetPrimAtPath(eye.path))
     first: Array = (space.matrix @ columns(matrix))[:3, 3]
     return first if np.linalg.norm(place - first) <= HOME_M else place
 

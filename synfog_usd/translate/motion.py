@@ -97,7 +97,7 @@ class Mover:
         if not point:
             return self._vary(prim)
         attributes = [prim.GetAttribute(name) for name in _MOVING]
-        return self._vary(prim) or any(one and one.ValueMightBeTimeVarying() for one in attributes)
+        return self._vary(prim) or any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes)
 
     def part(self, path: str, owner: str) -> str | None:
         """Path of the nearest prim at or above `path`, and below `owner`, whose own transform may vary; or None."""

@@ -107,15 +107,13 @@ def compose(
     seconds = seconds_of(recorded) if recorded and seconds is None else seconds
     chosen = _in_fogs(load(values.path_of(recipe, "recipe"), _changes(change, seconds, fps)), fog)
     weather = None if environment is None else scenario.read(values.path_of(environment, "--environment"))
-    if weather:
-        chosen = scenario.at_its_hour(chosen, weather)
+    chosen = scenario.at_its_hour(chosen, weather) if weather else chosen
     spec, clip = clip_of(chosen, draw(chosen, seed=seed), seed=seed)
     if clip is None:
         _refuse_in_stills({"--traffic": traffic, "--fcd": fcd, "--fps": None if seconds == 0 else fps})
     if clip and recorded:
         spec, clip = driven(spec, clip, recorded, seed)
-    if weather:
-        spec = scenario.around(spec, weather)
+    spec = scenario.around(spec, weather) if weather else spec
     _write(out, spec, clip, weather)
     if clip and out_fcd:
         write_fcd(out_fcd, spec, clip)

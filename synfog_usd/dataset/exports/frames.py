@@ -168,8 +168,8 @@ class LabelledPicture(PictureKey):
         motion, labels = self._flow(way, ("motion.X", "motion.Y", "motion.Z")), self.labels
         if motion is None:
             return None
-        other = _json(self.neighbours[way])["camera"]
-        here, there = (np.array(camera["camera_to_world"]) for camera in (labels.camera, other))
+        camera_then = _json(self.neighbours[way])["camera"]
+        here, there = (np.array(camera["camera_to_world"]) for camera in (labels.camera, camera_then))
         depth = np.where(np.isfinite(labels.depth_m), labels.depth_m, 0.0)
         v, u = np.indices(depth.shape, dtype=np.float64)
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(labels.camera["camera_matrix_px"]).T
@@ -360,8 +360,8 @@ def _of_folder(out: Path, camera: str = "") -> Iterator[LabelledPicture]:
     tracks = {"tracks.json": out / "tracks.json"} if (out / "tracks.json").is_file() else {}
     for number, (folder, moment) in enumerate(rows):
         flow = {"flow.exr": folder / "flow.exr"} if (folder / "flow.exr").is_file() else {}
-        beside = (("backward", number - 1), ("forward", number + 1))
-        neighbours = {way: rows[k][0] / "labels.json" for way, k in beside if 0 <= k < len(rows)}
+        sides = (("backward", number - 1), ("forward", number + 1))
+        neighbours = {way: rows[k][0] / "labels.json" for way, k in sides if 0 <= k < len(rows)}
         for picture in _of_bake(folder, camera):
             files = {**picture.files, **tracks, **flow}
             yield replace(picture, moment=moment, files=files, neighbours=neighbours)

@@ -59,11 +59,11 @@ def _write_sequence(folder: ExportFolder, sequence: str, frames: Sequence[Labell
         labels, tracks = picture.labels, picture.tracks()
         labels.refuse_fisheye("KITTI")
         folder.place(picture.screen, f"training/image_02/{sequence}/{frame:06}{picture.screen.suffix}")
-        things = [row for row in taxonomy.objects(picture, Boxed(classes=chosen.classes)) if row["path"] in tracks]
-        for row in things:
+        objects = [row for row in taxonomy.objects(picture, Boxed(classes=chosen.classes)) if row["path"] in tracks]
+        for row in objects:
             dropped = row.get("visibility") in chosen.drop
             lines.append(f"{frame} {_line(row, -1 if dropped else tracks[row['path']], dropped=dropped)}")
-        ids = mots_ids(labels.instance, things, tracks, chosen)
+        ids = mots_ids(labels.instance, objects, tracks, chosen)
         folder.png(f"training/instances/{sequence}/{frame:06}.png", ids)
         height, width = ids.shape
         for value in np.unique(ids[ids > 0]).tolist():
@@ -81,14 +81,14 @@ def _line(row: dict[str, Any], track: int, *, dropped: bool) -> str:
     return " ".join([str(-1 if kind == "DontCare" else track), kind, str(level), *rest]) + "\n"
 
 
-def mots_ids(instance: np.ndarray, things: Sequence[dict[str, Any]], tracks: Any, chosen: Boxed) -> np.ndarray:
+def mots_ids(instance: np.ndarray, objects: Sequence[dict[str, Any]], tracks: Any, chosen: Boxed) -> np.ndarray:
     """(H, W) uint16 of MOTS: class * 1000 + track, 10000 for what does not count, 0 for all else.
 
     Raises:
         ParameterError: more tracks than an id has digits for.
     """
     ids = np.zeros(instance.shape, dtype=np.uint16)
-    for row in things:
+    for row in objects:
         kind, track = MOTS.get(row["label"]), tracks[row["path"]]
         if track >= A_CLASS:
             raise ParameterError(

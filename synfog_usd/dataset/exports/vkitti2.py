@@ -99,9 +99,9 @@ def coded_flow(flow: np.ndarray) -> np.ndarray:
     """
     height, width = flow.shape[:2]
     share = flow / (np.array([width, height]) - 1.0)
-    known: np.ndarray = np.all(np.abs(share) <= 1.0, axis=-1)
-    steps = np.rint((np.where(known[..., None], share, 0.0) + 1.0) * 0.5 * 65535.0)
-    return np.concatenate([steps, 65535.0 * known[..., None]], axis=-1).astype(np.uint16)
+    valid: np.ndarray = np.all(np.abs(share) <= 1.0, axis=-1)
+    steps = np.rint((np.where(valid[..., None], share, 0.0) + 1.0) * 0.5 * 65535.0)
+    return np.concatenate([steps, 65535.0 * valid[..., None]], axis=-1).astype(np.uint16)
 
 
 def _write_rows(parts: dict[str, list[str]], frame: int, number: int, picture: LabelledPicture, chosen: Boxed) -> None:

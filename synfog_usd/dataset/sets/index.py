@@ -5,12 +5,10 @@ radiance and labels.  Whoever reads a set starts here, and needs nothing else of
 
     from synfog_usd.dataset.sets import index
     for picture in index.pictures(out):
-        picture.scene, picture.split                  # 17, 'train'
-        picture.source, picture.seed                  # 'residential' (recipe, or name of a stage), seed of the scene
-        picture.lighting, picture.camera              # 'sky', '' (the stage's own camera) or a prim path
-        picture.fog, picture.mor_m                    # 'mor600', 600.0; 'clear', None
-        picture.pipeline                              # 'synfog'
-        picture.files["srgb.png"]                     # absolute paths, also of radiance.exr, layers.exr and labels.exr
+        picture.scene, picture.split, picture.source, picture.seed
+        picture.lighting, picture.camera, picture.fog, picture.mor_m
+        picture.pipeline
+        picture.files["srgb.png"]  # a path; also of radiance.exr, layers.exr and labels.exr
 
 Pictures come in the order of scenes, then lightings, cameras, fogs and pipelines as the set's file has them.  Any
 reader of Parquet opens the files too: `pyarrow.dataset.dataset(out / "index")`.

@@ -49,12 +49,12 @@ class Known:
     Attributes:
         scene: what is rendered.
         truth: mean radiance; (H, W) where it differs from pixel to pixel; None where only finite numbers are asked for.
-        other: a second world whose mean is the truth.
+        twin: a second world whose mean is the truth.
     """
 
     scene: SceneDict
     truth: float | npt.NDArray[np.float64] | None = None
-    other: SceneDict | None = None
+    twin: SceneDict | None = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def threshold() -> Known:
         fog = FogVolume("/Fog", box((60.0, 30.0, 60.0), (0, 30.0 + edge, 0)), FogMedium(0.03, albedo=0.95))
         return scene({**sky(), "shape_wall": wall(25.0, 4.0, bsdf=grey)}, [fog], fov_x_deg=50.0)
 
-    return Known(world(-0.01), other=world(0.01))
+    return Known(world(-0.01), twin=world(0.01))
 
 
 def thin(sigma_t: float) -> Known:
@@ -202,7 +202,7 @@ def thin(sigma_t: float) -> Known:
     world = {**sky(), "shape_wall": wall(30.0, 5.0, bsdf=grey)}
     return Known(
         scene(world, [FogVolume("/Fog", box(100.0), FogMedium(sigma_t))], fov_x_deg=50.0),
-        other=scene(world, fov_x_deg=50.0),
+        twin=scene(world, fov_x_deg=50.0),
     )
 
 
@@ -239,7 +239,7 @@ def spot() -> Known:
 
 def restaged(**how: Any) -> Known:
     """The same street in another unit, with another axis up, or far from the origin."""
-    return Known(staged(**how), other=staged())
+    return Known(staged(**how), twin=staged())
 
 
 STAGE = """#usda 1.0

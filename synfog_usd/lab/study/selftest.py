@@ -134,8 +134,8 @@ def measure(case: Case, world: Known, model: str) -> Result:
             return Result(case.name, model, REFUSED, counted, why=problem)
         first = _render(world.scene, model, samples, case.bands, 0)
         second = None
-        if world.other is not None:
-            second = _render(world.other, model, samples, case.bands, SEEDS)
+        if world.twin is not None:
+            second = _render(world.twin, model, samples, case.bands, SEEDS)
     except SynfogError as error:
         return Result(case.name, model, REFUSED, counted, why=str(error))
     except Exception as error:  # whatever a model of a later day may raise belongs in the table

@@ -55,7 +55,7 @@ def ratio(row: Mapping[str, Any], who: str = "best") -> str:
 
 
 def duration(value: float) -> str:
-    """Two or three digits in the unit that fits: '0.43 s', '12 s', '7.5 min', '40 h'."""
+    """Two or three digits in the unit that fits: '0.43 s' or '7.5 min'."""
     for size, unit in ((3600.0, "h"), (60.0, "min")):
         if value >= 2.0 * size:
             return f"{value / size:,.0f} {unit}" if value >= 10.0 * size else f"{value / size:.1f} {unit}"
