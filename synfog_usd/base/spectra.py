@@ -322,7 +322,7 @@ def smooth(rgb: tuple[float, float, float]) -> Array:
     return _solved(curve, level / np.sqrt(1.0 - level * level), rgb)
 
 
-def tinted(shape: Array, rgb: tuple[float, float, float]) -> Array:
+def tinted(reflectance: Array, rgb: tuple[float, float, float]) -> Array:
     """A reflectance times a factor, exp of a parabola from 430 to 650 nm and even beyond, such that D65 shows a colour;
     at most 1 anywhere.
 
@@ -330,13 +330,13 @@ def tinted(shape: Array, rgb: tuple[float, float, float]) -> Array:
     material's.
 
     Args:
-        shape: (401,) reflectance.
+        reflectance: (401,) of the whole kind.
         rgb: as `smooth` takes it.
     """
-    start = np.log(brightness(np.clip(rgb, *_REACHED)) / max(brightness(rgb_of(shape)), 1e-12))
+    start = np.log(brightness(np.clip(rgb, *_REACHED)) / max(brightness(rgb_of(reflectance)), 1e-12))
 
     def curve(t: Array) -> tuple[Array, Array]:
-        value = shape * np.exp(np.clip(t, -30.0, 30.0))
+        value = reflectance * np.exp(np.clip(t, -30.0, 30.0))
         return value, value
 
     return np.minimum(_solved(curve, start, rgb, SEEN_NM), 1.0)

@@ -163,16 +163,16 @@ def reading_limits() -> Iterator[None]:
         yield
 
 
-def crash_line(code: int, stage: Path, what: str) -> str:
+def crash_line(code: int, stage: Path, verb: str) -> str:
     """Why a child died, in one line for the user.
 
     Args:
         code: negative, of `run`.
         stage: what it worked on.
-        what: it did, as 'read it'.
+        verb: what it did with it, as 'read it'.
     """
-    of, why = system.cause(code)
-    return f"synfog-usd: {stage}: the process that {what} died of {of}: {why}"
+    signal_name, reason = system.cause(code)
+    return f"synfog-usd: {stage}: the process that {verb} died of {signal_name}: {reason}"
 
 
 def run(arguments: Sequence[str]) -> int:

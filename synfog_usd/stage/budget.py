@@ -170,7 +170,7 @@ class _Counter:
             if prim.IsInstance():
                 count = self.shapes(prim.GetPrototype(), depth + 1)
             elif kind == "PointInstancer":
-                count = self.points(prim, depth)
+                count = self.instances(prim, depth)
             elif kind == "Mesh":
                 count = 1
                 self.mesh(prim)
@@ -182,7 +182,8 @@ class _Counter:
         self.counts[name] = total
         return total
 
-    def points(self, prim: Usd.Prim, depth: int) -> int:
+    def instances(self, prim: Usd.Prim, depth: int) -> int:
+        """Shapes of a point instancer: for each prototype, its own times the points that show it."""
         instancer = UsdGeom.PointInstancer(prim)
         which = instancer.GetProtoIndicesAttr().Get(Usd.TimeCode.EarliestTime())
         targets = instancer.GetPrototypesRel().GetForwardedTargets()

@@ -335,15 +335,8 @@ def sown(
     """Woods far from the road, shrubs on the middle island, tall grass on the land near the circle and on the
     island.
     """
-    return [
-        s
-        for s in (
-            _wood(junction, seed, trees, trees_from_m),
-            _shrubs(junction, seed, shrubs),
-            _tufts(junction, seed, tufts_per_m2, within_m),
-        )
-        if s
-    ]
+    wood, bushes = _wood(junction, seed, trees, trees_from_m), _shrubs(junction, seed, shrubs)
+    return [scatter for scatter in (wood, bushes, _tufts(junction, seed, tufts_per_m2, within_m)) if scatter]
 
 
 def _wood(junction: Roundabout, seed: int, count: int, nearest_m: float) -> Scatter | None:
