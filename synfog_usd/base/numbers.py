@@ -80,20 +80,25 @@ UNITS_M = (1e-6, 1e3)
 MOST_EV = 10.0
 """Of stops by which a meter's exposure is changed."""
 
-MOST_LIGHT = 1e12
-"""Of a factor for all lights."""
+RANGES = {
+    "--samples": (*SAMPLES, "16 are a draft, 1024 are clean in dense fog"),
+    "--target-error": (0.0, 1.0, "0.01 is 1 %"),
+    "--light-scale": (0.0, 1e12, "leave it out for the lights as they are"),
+    "--shutter": (0.0, 60.0, "it takes seconds"),
+    "--frame": (-1e300, 1e300, "it takes a time code of the stage"),
+}
+"""Option -> its least, its most, and what helps to choose."""
 
 
-def check_samples(samples: int, option: str = "--samples") -> None:
-    """Refuse a number of paths per pixel out of `SAMPLES`.
+def check_range(option: str, value: float | None) -> None:
+    """Refuse a number out of `RANGES`, and 0 where 0 is the least; None is an option that is left out.
 
     Raises:
         ParameterError: with the range.
     """
-    if not SAMPLES[0] <= samples <= SAMPLES[1]:
-        raise ParameterError(
-            f"{option} {samples}: outside {SAMPLES[0]} to {SAMPLES[1]}; 16 are a draft, 1024 are clean in dense fog"
-        )
+    low, high, advice = RANGES[option]
+    if value is not None and not (low <= value <= high and (value or low)):
+        raise ParameterError(f"{option} {value:.9g}: outside {low:.9g} to {high:.9g}; {advice}")
 
 
 def check_quality(name: object, option: str = "--quality") -> None:
@@ -108,16 +113,6 @@ def check_quality(name: object, option: str = "--quality") -> None:
         )
 
 
-def check_target(error: float | None) -> None:
-    """Refuse a relative error outside 0 to 1.
-
-    Raises:
-        ParameterError: with the range.
-    """
-    if error is not None and not 0.0 < error <= 1.0:
-        raise ParameterError(f"--target-error {error:g}: outside 0 to 1; 0.01 is 1 %")
-
-
 def check_bands(count: int) -> None:
     """Refuse a number of bands that does not exist.
 
@@ -126,18 +121,6 @@ def check_bands(count: int) -> None:
     """
     if count not in (RGB, *BANDS):
         raise ParameterError(f"--bands {count}: it takes {RGB} (R, G and B), {', '.join(map(str, BANDS))}")
-
-
-def check_light(scale: float) -> None:
-    """Refuse a factor for all lights that leaves none, or is without end.
-
-    Raises:
-        ParameterError: with the range.
-    """
-    if not 0.0 < scale <= MOST_LIGHT:
-        raise ParameterError(
-            f"--light-scale {scale:g}: outside 0 to {MOST_LIGHT:g}; leave it out for the lights as they are"
-        )
 
 
 def fog_words(name: str) -> list[tuple[str, float, dict[str, str]]] | None:
@@ -320,16 +303,6 @@ def check_exposure(*, exposure_s: float | None, iso: float | None, ev: float) ->
         raise ParameterError(f"--ev {ev:g}: --exposure and --iso leave nothing to the meter; leave one of them out")
 
 
-def check_shutter(seconds: float | None) -> None:
-    """Refuse a time for which no shutter is open.
-
-    Raises:
-        ParameterError: with the number.
-    """
-    if seconds is not None and not 0.0 < seconds <= 60.0:
-        raise ParameterError(f"--shutter {seconds:g}: it takes seconds above 0, and 60 at most")
-
-
 def check_frames(codes: Sequence[float]) -> None:
     """Refuse time codes that are no video.
 
@@ -345,13 +318,3 @@ def check_frames(codes: Sequence[float]) -> None:
         raise ParameterError(
             f"--frames: steps from {min(steps):g} to {max(steps):g}; a clip has even ones, as FIRST:LASTxSTEP"
         )
-
-
-def check_frame(frame: float | None) -> None:
-    """Refuse a time code that is no finite number.
-
-    Raises:
-        ParameterError: with the number.
-    """
-    if frame is not None and not math.isfinite(frame):
-        raise ParameterError(f"--frame {frame}: no finite number")

@@ -10,8 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from synfog_usd import camera
 from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, ParameterError, did_you_mean
@@ -28,9 +26,6 @@ if TYPE_CHECKING:
 
 DEPTH = "depth"
 """Input, of data, that a bake's labels or the picture's own file can fill."""
-
-GREY_CD_M2 = 500.0
-"""Radiance of the even picture on which `show --resolution` measures."""
 
 
 def run(words: GraphWords) -> None:
@@ -60,23 +55,10 @@ def run(words: GraphWords) -> None:
     print(drawing.table(graph, results, settings, width=_columns(), whole=False), file=sys.stderr)
 
 
-def show(
-    pipeline: Path,
-    sources: Sequence[str],
-    *,
-    size: tuple[int, int] | None,
-    changes: Sequence[str],
-    mermaid: bool,
-) -> None:
-    """Print the graph as a table or as Mermaid text; with each node's milliseconds where there is a picture."""
+def show(pipeline: Path, *, changes: Sequence[str], mermaid: bool) -> None:
+    """Print the graph as a table or as Mermaid text."""
     graph = _changed(camera.load_graph(pipeline), changes)
-    images = _inputs(sources, graph) or (_even(graph, size) if size else {})
-    results = None
-    if images:
-        exposure = camera.metered(graph, images)
-        for _ in range(2):  # the first run sets up what later runs use again
-            results = camera.develop(graph, images, seed=0, exposure=exposure, keep=[])
-    print(drawing.mermaid(graph, results) if mermaid else drawing.table(graph, results, width=_columns()))
+    print(drawing.mermaid(graph) if mermaid else drawing.table(graph, width=_columns()))
 
 
 def _columns() -> int:
@@ -133,23 +115,7 @@ def _files(graph: NodeGraph, until: str | None) -> dict[str, str]:
     return {f"{until}.exr": until} if until in graph.nodes else graph.outputs_of(until) or {f"{until}.exr": until}
 
 
-def _even(graph: NodeGraph, size: tuple[int, int]) -> dict[str, Image]:
-    width, height = size
-    for name, port in graph.inputs.items():
-        if port.quantity is not Quantity.RADIANCE:
-            raise GraphError(f"--resolution: the input {name!r} is {port}, not radiance; give a picture with --in")
-    grey = Image(
-        np.full((height, width, 3), GREY_CD_M2, dtype=np.float32),
-        ("R", "G", "B"),
-        Quantity.RADIANCE,
-        provenance={} if graph.nodes_with("optics.fisheye") else {"fov_x_deg": 60.0},
-    )
-    return dict.fromkeys(graph.inputs, grey)
-
-
-def _inputs(
-    sources: Sequence[str], graph: NodeGraph, repair: bool = False, fov_x_deg: float | None = None
-) -> dict[str, Image]:
+def _inputs(sources: Sequence[str], graph: NodeGraph, repair: bool, fov_x_deg: float | None) -> dict[str, Image]:
     """Images by input; depth that is not named is looked for beside the picture."""
     pictures = [name for name, port in graph.inputs.items() if port.quantity is not Quantity.DATA]
     images: dict[str, Image] = {}

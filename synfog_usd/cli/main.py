@@ -419,19 +419,12 @@ def graph_check(pipeline: options.Graph) -> None:
 def graph_show(
     pipeline: options.Graph,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As Mermaid text, for a drawing.")] = False,
-    source: Annotated[
-        list[str] | None,
-        typer.Option("--in", help="Measure the milliseconds of each node on FILE.exr, or NAME=FILE.exr."),
-    ] = None,
-    resolution: Annotated[
-        str | None, typer.Option(help="Measure on an even grey picture of WIDTHxHEIGHT instead.")
-    ] = None,
     change: options.Overrides = None,
 ) -> None:
     """Show every node with its parameters and where each value comes from."""
     from synfog_usd.cli import graph as verb
 
-    verb.show(pipeline, source or [], size=numbers.size_of(resolution), changes=change or [], mermaid=mermaid)
+    verb.show(pipeline, changes=change or [], mermaid=mermaid)
 
 
 @dataclass(kw_only=True)

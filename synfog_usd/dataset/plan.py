@@ -94,9 +94,9 @@ class StageReading:
     allow: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers.check_light(self.light_scale)
+        numbers.check_range("--light-scale", self.light_scale)
         numbers.check_space(metres_per_unit=self.metres_per_unit, up=self.up)
-        numbers.check_shutter(self.shutter_s)
+        numbers.check_range("--shutter", self.shutter_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,9 +153,8 @@ class Sampling:
         numbers.check_quality(self.quality)
         if self.samples is None:  # the record is frozen, and is whole from here on
             object.__setattr__(self, "samples", self.promise.samples)
-        assert self.samples is not None
-        numbers.check_samples(self.samples)
-        numbers.check_target(self.target_error)
+        numbers.check_range("--samples", self.samples)
+        numbers.check_range("--target-error", self.target_error)
         numbers.check_bands(self.bands)
 
     @property
@@ -208,7 +207,7 @@ class BakePlan:
     rig: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        numbers.check_frame(self.frame)
+        numbers.check_range("--frame", self.frame)
         for name in self.fog or ():
             if (metres := visibility_of(name)) is not None:
                 numbers.check_visibility(name, metres)

@@ -91,8 +91,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         models.check_name(self.model)
-        numbers.check_samples(self.samples)
-        numbers.check_target(self.target_error)
+        numbers.check_range("--samples", self.samples)
+        numbers.check_range("--target-error", self.target_error)
         numbers.check_bands(self.bands)
 
     @property

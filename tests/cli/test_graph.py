@@ -157,11 +157,6 @@ def test_until_takes_an_output_and_set_the_words_of_the_camera(radiance, tmp_pat
         assert raw.pages[0].tags["ExifTag"].value["ISOSpeedRatings"] == 400
 
 
-def test_show_draws_with_milliseconds():
-    assert run("show", PIPELINE, "--mermaid", "--resolution", "64x36").stdout.count(" ms") == 22
-    assert " ms" not in run("show", PIPELINE, "--mermaid").stdout
-
-
 def test_explain_prints_a_page_or_a_list():
     assert "| `iso` | a number from 1 to 1e+07 or auto | auto | ISO speed. |" in run("explain", "sensor.gain").stdout
     assert re.search(r"^isp\.tone +Brighter middle", run("explain").stdout, flags=re.MULTILINE)

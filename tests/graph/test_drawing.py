@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from synfog_usd.camera.graph import drawing, load_graph
@@ -25,11 +24,8 @@ def branches(tmp_path: Path, registry):
     return load_graph(tmp_path / "g.yaml", registry)
 
 
-def test_mermaid_gets_no_word_of_its_own_as_a_name(tmp_path, registry, radiance):
+def test_mermaid_gets_no_word_of_its_own_as_a_name(tmp_path, registry):
     """`end` closes a block in Mermaid and would break the chart."""
     graph = branches(tmp_path, registry)
-    chart = drawing.mermaid(graph, graph.run(dict.fromkeys(graph.inputs, radiance), seed=0))
-    assert (
-        'end_["end<br/>lens.pass<br/>' in chart and "again -- radiance --> end_" in chart and "end_ --> file5[" in chart
-    )
-    assert len(re.findall(r"<br/>[\d.]+ ms\"\]", chart)) == 5
+    chart = drawing.mermaid(graph)
+    assert 'end_["end<br/>lens.pass"]' in chart and "again -- radiance --> end_" in chart and "end_ --> file5[" in chart

@@ -5,6 +5,7 @@ Takes a graph and, where it has run, how long each node took.
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping
 from typing import Any
@@ -12,22 +13,8 @@ from typing import Any
 from synfog_usd.camera.graph.engine import AUTO, Bound, GraphRun, Node, NodeGraph
 from synfog_usd.camera.graph.op import Port
 
-MERMAID_WORDS = frozenset(
-    [
-        "end",
-        "graph",
-        "flowchart",
-        "subgraph",
-        "style",
-        "class",
-        "classdef",
-        "click",
-        "default",
-        "linkstyle",
-        "direction",
-        "call",
-        "href",
-    ]
+MERMAID_WORDS = re.compile(
+    "end|graph|flowchart|subgraph|style|class|classdef|click|default|linkstyle|direction|call|href"
 )
 """Words of Mermaid that cannot be the name of a node."""
 
@@ -101,13 +88,12 @@ def _wrapped(text: str, width: int, *, first: str | None = None, indent: int = 4
     return [line.replace(TIED, " ") for line in lines]
 
 
-def mermaid(graph: NodeGraph, run: GraphRun | None = None) -> str:
-    """The graph as a Mermaid flow chart, with milliseconds if it ran."""
+def mermaid(graph: NodeGraph) -> str:
+    """The graph as a Mermaid flow chart."""
     lines = ["flowchart TD"]
     lines += [f'  {_id(name)}(["{name}: {port}"])' for name, port in graph.inputs.items()]
     for node in graph.nodes.values():
-        spent = _time(node, run)
-        lines.append(f'  {_id(node.name)}["{node.name}<br/>{node.op.name}{f"<br/>{spent} ms" if spent else ""}"]')
+        lines.append(f'  {_id(node.name)}["{node.name}<br/>{node.op.name}"]')
         lines += [
             f"  {_id(source)} -- {_flows(_port_of(graph, source))} --> {_id(node.name)}" for source in node.inputs
         ]
@@ -123,7 +109,7 @@ def _time(node: Node, run: GraphRun | None) -> str:
 
 
 def _id(name: str) -> str:
-    return f"{name}_" if name in MERMAID_WORDS else name
+    return f"{name}_" if MERMAID_WORDS.fullmatch(name) else name
 
 
 def _port_of(graph: NodeGraph, name: str) -> Port:

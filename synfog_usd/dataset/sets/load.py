@@ -6,18 +6,20 @@ how large, how clean, and into which splits.  Every mistake has its file, line a
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
 from synfog_usd.base import numbers, resources, yamlio
-from synfog_usd.base.errors import ParameterError, RecipeError, SetError, SynfogError, did_you_mean
+from synfog_usd.base.errors import RecipeError, SetError, SynfogError, did_you_mean
 from synfog_usd.base.yamlio import Located, from_python, load_file
-from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS
+from synfog_usd.dataset.asked import OPTIONS
+from synfog_usd.dataset.plan import AS_AUTHORED, CLEAR, METERS, Exposing, Sampling
 from synfog_usd.dataset.sets.definition import RECIPE_LIGHTINGS, SetDefinition, Source, Split, exposed
 from synfog_usd.world.language import (
     FOG,
@@ -33,25 +35,8 @@ Read = TypeVar("Read")
 
 SCHEMA = "set/1"
 SECTIONS = (
-    "synfog",
-    "about",
-    "extends",
-    "seed",
-    "scenes",
-    "recipes",
-    "stages",
-    "changes",
-    "lightings",
-    "fogs",
-    "cameras",
-    "pipelines",
-    "meter",
-    "asm_estimated",
-    "same_noise",
-    "size",
-    "quality",
-    "exposure",
-    "splits",
+    *("synfog", "about", "extends", "seed", "scenes", "recipes", "stages", "changes", "lightings", "fogs", "cameras"),
+    *("pipelines", "meter", "asm_estimated", "same_noise", "size", "quality", "exposure", "splits"),
 )
 QUALITY = ("word", "model", "samples", "target_error", "bands")
 EXPOSURE = {"time": "exposure_s", "iso": "iso", "ev": "ev"}
@@ -281,32 +266,17 @@ class _SetReader:
         return width, height
 
     def quality(self, item: Located) -> dict[str, Any]:
-        if isinstance(item.value, str):
-            return {"quality": self.quality_word(item)}
-        options: dict[str, Any] = {key: entry.plain() for key, entry in mapping(item, "quality", QUALITY).items()}
-        kinds: dict[str, tuple[type, str, Callable[[Any], None]]] = {
-            "word": (str, "a word", lambda value: numbers.check_quality(value, "word")),
-            "model": (str, "a name", _check_model),
-            "samples": (int, "a whole number", lambda value: numbers.check_samples(value, "samples")),
-            "target_error": (float, "a number", numbers.check_target),
-            "bands": (int, "a whole number", numbers.check_bands),
-        }
-        for key, value in options.items():
-            place, (kind, form, check) = item.value[key].place, kinds[key]
-            if not isinstance(value, kind) or isinstance(value, bool):
-                raise SetError(f"{place}: quality.{key} is {value!r}; it takes {form}")
-            try:
-                check(value)
-            except ParameterError as error:
-                raise SetError(f"{place}: quality.{key}: {error}") from error
-        return options | ({"quality": options.pop("word")} if "word" in options else {})
+        from synfog_usd.render.models import check_name
 
-    def quality_word(self, item: Located) -> str:
-        try:
-            numbers.check_quality(item.value, "quality")
-        except ParameterError as error:
-            raise SetError(f"{item.place}: {error}") from error
-        return str(item.value)
+        is_word, options = isinstance(item.value, str), {}
+        for key, entry in ({"word": item} if is_word else mapping(item, "quality", QUALITY)).items():
+            name = "quality" if key == "word" else key
+            with placed(entry, "quality" if is_word else f"quality.{key}"):
+                options[name] = OPTIONS[name](entry.plain(), name)
+                Sampling(**{name: options[name]})
+                if name == "model":
+                    check_name(options[name])
+        return options
 
     def exposure(self, item: Located) -> dict[str, float]:
         options: dict[str, float] = {}
@@ -316,15 +286,10 @@ class _SetReader:
                 raise SetError(
                     f"{entry.place}: exposure.{key} is {entry.plain()!r}; it takes a number, as 1/200 or 400"
                 )
-            try:
+            with placed(entry, f"exposure.{key}"):
                 options[EXPOSURE[key]] = numbers.seconds_of(str(value)) if key == "time" else float(value)
-            except (ParameterError, ValueError) as error:
-                raise SetError(f"{entry.place}: exposure.{key}: {error}") from error
-        try:
-            exposure: dict[str, Any] = {"exposure_s": None, "iso": None, "ev": 0.0, **options}
-            numbers.check_exposure(**exposure)
-        except ParameterError as error:
-            raise SetError(f"{item.place}: exposure: {error}") from error
+        with placed(item, "exposure"):
+            Exposing(**options)  # type: ignore[arg-type]
         return options
 
     def splits(self, item: Located) -> tuple[Split, ...]:
@@ -458,6 +423,15 @@ def fixed(value: str | float) -> Distribution:
     return Distribution("fixed", (value,))
 
 
+@contextlib.contextmanager
+def placed(item: Located, what: str) -> Iterator[None]:
+    """Within it, an error of what an item says gets the place of the item."""
+    try:
+        yield
+    except (SynfogError, ValueError) as error:
+        raise SetError(f"{item.place}: {what}: {error}") from error
+
+
 def entries(item: Located, what: str, form: str = "a list") -> list[Located]:
     """Of a list that holds something."""
     if not isinstance(item.value, list) or not item.value:
@@ -500,9 +474,3 @@ def share(item: Located, what: str) -> Fraction:
 
 def _limits(low: int, high: int) -> Parameter:
     return Continuous(low, high, None, whole=True)
-
-
-def _check_model(name: str) -> None:
-    from synfog_usd.render.models import check_name
-
-    check_name(name)
