@@ -58,7 +58,6 @@ VERBS = {
     "preview": ["street.usda", "-o", "seen", *SMALL, *ONE, "clear"],
     "chart": ["street.usda", "-o", "chart", "--resolution", "16x9", "--samples", "4", "--models", "single"],
     "compose": [RECIPE, "--seed", "1", "-o", "road.usda"],
-    "contact": [RECIPE, "-o", "sheet.png", "--seeds", "1", *SMALL],
     "info": [],
     "plugin-path": ["--blender", "fog.zip"],
     "selftest": ["--quick"],
@@ -86,7 +85,7 @@ MAKES = {"out": "bake", "set": "dataset run"}
 """Folders that verbs take, and the verb that makes them."""
 
 QUICK = ("check", "bake")
-LONG_S = {"selftest": 15, "contact": 20}
+LONG_S = {"selftest": 15}
 """Verbs that are ended after so many seconds: all is imported by then."""
 
 

@@ -257,57 +257,6 @@ def compose(words: ComposeWords) -> None:
     print(f"{out}: {groups['Vehicles']} vehicles and bicycles, {groups['People']} people, fogs {', '.join(spec.fog)}")
 
 
-@dataclass(kw_only=True)
-class ContactWords:
-    """Options of `contact`."""
-
-    recipe: Annotated[
-        Path, typer.Argument(help="YAML recipe, one that ships by its name, or a folder: seeds go round.")
-    ]
-    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write (.png).")]
-    seeds: Annotated[str, typer.Option(help="Seeds to show, as in 0-15 or 3,7,9-11.")] = "0-15"
-    lighting: Annotated[str, typer.Option(help="sky (day) or active (dusk with lamps).")] = "sky"
-    fog: Annotated[str, typer.Option(help="Fogs side by side, comma-separated: clear, variants, mor150, rain10.")] = (
-        "clear,mor300"
-    )
-    resolution: Annotated[str, typer.Option(help="WIDTHxHEIGHT of one preview in pixels.")] = "320x180"
-    columns: Annotated[int, typer.Option(help="Seeds side by side; 0 makes the sheet about square.")] = 0
-    samples: options.Samples = 16
-    variant: options.Variant = "auto"
-    gpu: options.Gpu = None
-    change: options.Changes = None
-    quiet: options.Quiet = False
-
-
-@app.command()
-@options.spread
-def contact(words: ContactWords) -> None:
-    """Show small previews of the stages that RECIPE draws, for choosing seeds."""
-    if not worker.is_worker():
-        raise typer.Exit(_crash_line(worker.run(sys.argv[1:]), words.recipe))
-    worker.follow_parent()
-    from synfog_usd.cli.progress import shown
-    from synfog_usd.dataset import sheet
-
-    size = numbers.size_of(words.resolution)
-    assert size is not None and words.samples is not None
-    plan = sheet.SheetPlan(
-        recipes=sheet.recipes_of(words.recipe),
-        seeds=sheet.seeds_of(words.seeds),
-        out=words.out,
-        lighting=words.lighting,
-        fogs=numbers.names_of(words.fog, "--fog") or (),
-        size=size,
-        columns=max(0, words.columns),
-        samples=words.samples,
-        variant=options.device(words.variant, words.gpu),
-        changes=tuple(words.change or ()),
-    )
-    with shown(words.quiet) as (progress, log):
-        sheet.write(plan, progress=progress, log=log)
-    print(words.out)
-
-
 @app.command()
 def info(
     variant: options.Variant = "auto",

@@ -21,7 +21,6 @@ from synfog_usd.base.fence import LAYERS, Fence
 from synfog_usd.base.files import sha256_of
 from synfog_usd.base.notes import Note
 from synfog_usd.stage import budget, materialx
-from synfog_usd.stage.budget import MAX_DEPTH
 from synfog_usd.stage.schema import FOG_VARIANT_SET, LIGHTING_VARIANT_SET
 from synfog_usd.stage.survey import read_layers
 from synfog_usd.stage.types import mistyped
@@ -142,20 +141,6 @@ def check_size(stage: Usd.Stage) -> budget.Size:
         StageError: beyond a budget, or damaged.
     """
     return budget.check_stage(stage)
-
-
-def check_depth(stage: Usd.Stage) -> None:
-    """Refuse a stage that is nested deeper than `MAX_DEPTH`.
-
-    Raises:
-        StageError: with the path's beginning.
-    """
-    for prim in [*stage.GetPrototypes(), stage.GetPseudoRoot()]:
-        for below in Usd.PrimRange(prim):
-            if below.GetPath().pathElementCount > MAX_DEPTH:
-                raise StageError(
-                    f"{str(below.GetPath())[:60]}…: prims nested deeper than {MAX_DEPTH} levels; flatten the hierarchy"
-                )
 
 
 def _checked_files(stage: Usd.Stage, fence: Fence) -> list[str]:

@@ -24,7 +24,7 @@ from synfog_usd.fog import Fog, FogVolume
 from synfog_usd.scene import Camera, Instance, MovingPart, SceneDict, boxes
 from synfog_usd.stage.budget import MAX_ALIKE
 from synfog_usd.stage.labels import UNLABELED
-from synfog_usd.stage.open import authored_path, check_depth, composition_notes, plain_errors, unit_notes
+from synfog_usd.stage.open import authored_path, composition_notes, plain_errors, unit_notes
 from synfog_usd.stage.schema import PREFIX
 from synfog_usd.translate import daylight, geometry, light, medium, spectrum, volume
 from synfog_usd.translate.bindings import Bindings
@@ -125,7 +125,6 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
         view: how it is looked at.
         reused: of earlier translations; what is new is added.
     """
-    check_depth(stage)
     notes, authored = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, view, notes)
