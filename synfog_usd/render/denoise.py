@@ -77,16 +77,17 @@ Open Image Denoise returns a flat patch as bright as this with an error of 6 %, 
 BORDER_PX = 16
 """Pixels that are mirrored on every side.  Without them the border of a constant image comes back 4 % wrong."""
 
-GUIDE_RAYS = 64
-"""Rays of a pixel that the guides are means of."""
+GUIDE_RAYS = (8, 64)
+"""Rays of a pixel that the guides are means of: the least, of a large picture, and the most."""
+
+PICTURE_RAYS = 1 << 22
+"""Rays of a picture for its guides, as far as `GUIDE_RAYS` allows."""
 
 FEW = 16
-"""Samples under which a picture gets FEW_RAYS and Open Image Denoise's smaller networks, in half of the time.
+"""Samples under which a picture gets Open Image Denoise's smaller networks, in half of the time.
 
 Surfaces get the balanced network (4 % more error at 4 samples), airlight and `LIT` the fast one.
 """
-
-FEW_RAYS = 16
 
 MEMORY_MB = 700
 """Memory of Open Image Denoise.  It then works in tiles and gives the same bytes."""
@@ -94,7 +95,7 @@ MEMORY_MB = 700
 LANES = 1 << 19
 """Pixels that are looked at together."""
 
-KEPT_RAYS = 1 << 22
+KEPT_RAYS = 1 << 23
 """Rays of a picture up to which what they meet is kept for the next fog, in 28 B each."""
 
 CROSSINGS = 64
@@ -109,11 +110,13 @@ class Guides:
         albedo: (H, W, 3) diffuse reflectance, 0 to 1; 1 for lamps, mirrors, glass and the sky.
         normal: (H, W, 3) world frame, turned to the camera, of length 0 (the sky) to 1.
         transmittance: (H, W) of the fog before the surfaces.
+        in_squares: whether airlight is cleaned in squares of `SHARE_PX`, as its paths were.
     """
 
     albedo: FloatArray
     normal: FloatArray
     transmittance: FloatArray
+    in_squares: bool = False
 
 
 def available() -> str:
@@ -132,10 +135,12 @@ class Denoised:
     Attributes:
         components: name -> (H, W, C), not negative, which add up to the picture.
         error: of the picture's luminance; None where it was not estimated.
+        quick: whether it was made with smaller networks, see `FEW`.
     """
 
     components: dict[str, FloatArray]
     error: dualbuffer.Error | None
+    quick: bool
 
     def luminance(self, weights: npt.ArrayLike) -> FloatArray:
         """(H, W) of the picture, for (C,) weights of the channels in it."""
@@ -176,7 +181,7 @@ def denoise_halves(
         noisy, done = noisy + pair @ weights, done + finished @ weights
         part = SURFACE if name == LIT else name
         components[part] = components.get(part, np.float32(0.0)) + finished.mean(axis=0)
-    return Denoised(components, dualbuffer.error_of(noisy, done))
+    return Denoised(components, dualbuffer.error_of(noisy, done), quick)
 
 
 def denoise_draft(
@@ -206,7 +211,7 @@ def denoise_draft(
         components[name] = denoise({name: mean}, guides, quick=True)[name]
         if name not in NOISELESS:
             components[name] = dualbuffer.given_back(mean[None], components[name][None], weights)[0]
-    return Denoised(components, None)
+    return Denoised(components, None, quick=True)
 
 
 def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: bool = False) -> dict[str, FloatArray]:
@@ -253,19 +258,22 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
             network: Network = "high" if not quick else "fast" if name == LIT else "balanced"
             cleaned[name] = _clean_surface(image, through, albedo, normal, network)
         else:
-            cleaned[name] = _clean_air(image, through, "fast" if quick else "high")
+            step = SHARE_PX if guides.in_squares else 1
+            cleaned[name] = _clean_air(image, through, step, "fast" if quick else "high")
     return cleaned
 
 
-def _clean_air(image: FloatArray, through: FloatArray, network: Network) -> FloatArray:
-    """Light of the fog, (H, W, C), before what the fog lets `through`, (H, W, 1).
+def _clean_air(image: FloatArray, through: FloatArray, step: int, network: Network) -> FloatArray:
+    """Light of the fog, (H, W, C), before what the fog lets `through`, (H, W, 1); cleaned in squares of `step` pixels.
 
     Guides say that there is no edge: that errs 2 to 15 % less than no guides at all.  A large frame fills memory: what
     the denoiser does not need is made anew after it.
     """
-    hiding = np.maximum(1.0 - through, FAINT_AIR)
-    flat = np.ones((*image.shape[:2], 3), dtype=np.float32)
-    return hiding * _clean(image / hiding, _as_guides(flat, np.zeros_like(flat)), network=network)
+    hiding = np.maximum(1.0 - through, np.float32(FAINT_AIR))
+    light = np.asarray(dualbuffer.binned(image, step) / dualbuffer.binned(hiding, step), dtype=np.float32)
+    flat = np.ones((*light.shape[:2], 3), dtype=np.float32)
+    light = _clean(light, _as_guides(flat, np.zeros_like(flat)), network=network)
+    return hiding * dualbuffer.spread(light, step, image.shape)
 
 
 def _clean_surface(
@@ -290,11 +298,10 @@ def fine(lights: Mapping[str, FloatArray], shape: tuple[int, ...]) -> FloatArray
 
 
 def divide(
-    components: Mapping[str, FloatArray],
+    denoised: Denoised,
     groups: Iterable[tuple[str, Mapping[str, npt.NDArray[Any]]]],
     guides: Guides,
     *,
-    quick: bool = False,
     draft: bool = False,
 ) -> dict[str, FloatArray]:
     """Share a denoised picture out to light groups.
@@ -303,11 +310,10 @@ def divide(
     groups.  Each group is cleaned by itself, in pixels of `SHARE_PX`.
 
     Args:
-        components: of the picture, as `denoise_halves` gives them.
+        denoised: the picture.
         groups: name of each and what the samples found of it, (h, w, C) by component or estimator in squares of
             `SHARE_PX`, but (H, W, C) for `NOISELESS`: at full size the groups of a large frame fill memory.
         guides: see `guides`.
-        quick: with Open Image Denoise's smaller networks, see `FEW`.
         draft: by shares as they are, not cleaned.
 
     Returns:
@@ -332,17 +338,17 @@ def divide(
 
     def clean(part: str, light: FloatArray) -> FloatArray:
         if part not in NOISELESS:
-            light = np.maximum(light, 0.0) if draft else denoise({part: light}, coarse, quick=quick)[part]
+            light = np.maximum(light, 0.0) if draft else denoise({part: light}, coarse, quick=denoised.quick)[part]
         trace = np.float32(1e-6) * light.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         return light + trace  # where no sample of any group was lit, groups share as in the whole picture
 
     parts: dict[str, dict[str, FloatArray]] = {}
     pictures = {}
     for group, lights in groups:
-        pictures[group] = np.zeros_like(next(iter(components.values())))
+        pictures[group] = np.zeros_like(next(iter(denoised.components.values())))
         for part, light in by_part(lights).items():
             parts.setdefault(part, {})[group] = clean(part, light)
-    for part, light in by_part(components).items():
+    for part, light in by_part(denoised.components).items():
         of_groups = parts.pop(part, {})
         whole = np.maximum(sum(of_groups.values()), np.finfo(np.float32).tiny)
         for group, lit in of_groups.items():
@@ -351,7 +357,7 @@ def divide(
     return pictures
 
 
-def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS) -> Guides:
+def guides(loaded: MitsubaScene, *, rays: int = GUIDE_RAYS[1]) -> Guides:
     """Look at what each pixel shows, with rays at fixed places in it.
 
     In a pixel with an edge each side counts as much as its light that arrives:
@@ -372,7 +378,7 @@ class GuideRays:
     for.  Arguments as there.
     """
 
-    def __init__(self, loaded: MitsubaScene, *, rays: int = GUIDE_RAYS) -> None:
+    def __init__(self, loaded: MitsubaScene, *, rays: int = GUIDE_RAYS[1]) -> None:
         if backend.is_scalar():
             raise ParameterError(
                 f"denoising needs LLVM or CUDA, and this is the scalar variant; {backend.INSTALL_LLVM}"

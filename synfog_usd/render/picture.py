@@ -217,20 +217,16 @@ class Cleaning:
 
     Args:
         look: gives the guides.
-        shape: (H, W).
-        few: whether there are but few samples of a pixel.
         draft: whether it is for a look alone.
 
     Attributes:
         problem: what went wrong with the last one, or ''.
     """
 
-    def __init__(
-        self, look: Callable[[], denoising.Guides | None], shape: tuple[int, int], *, few: bool, draft: bool
-    ) -> None:
+    def __init__(self, look: Callable[[], denoising.Guides | None], *, draft: bool) -> None:
         self.problem = ""
         self._look: Callable[[], denoising.Guides | None] | None = look
-        self._shape, self._few, self._draft = shape, few, draft
+        self._draft = draft
         self._guides: denoising.Guides | None = None
         self._done: dict[int, denoising.Denoised | None] = {}  # by the number of samples, the last one only
 
@@ -242,7 +238,8 @@ class Cleaning:
             self.problem = ""
             try:
                 progress("denoising", 0.0)
-                clean = functools.partial(denoising.denoise_halves, quick=self._few)
+                quick = accumulated.samples_per_pixel < denoising.FEW
+                clean = functools.partial(denoising.denoise_halves, quick=quick)
                 halves = {name: functools.partial(accumulated.halves, name) for name in names}
                 done = (denoising.denoise_draft if self._draft else clean)(
                     halves, self._guides_of_scene(), accumulated.weights, progress=within(progress, 0.3, 1.0)
@@ -258,9 +255,7 @@ class Cleaning:
     ) -> dict[str, Pixels] | None:
         """The picture by light group, see `denoise.divide`; None where something goes wrong."""
         try:
-            return denoising.divide(
-                denoised.components, groups, self._guides_of_scene(), quick=self._few, draft=self._draft
-            )
+            return denoising.divide(denoised, groups, self._guides_of_scene(), draft=self._draft)
         except (denoising.DenoiserError, MemoryError) as error:
             self.problem = _not_denoised(error)
             return None
@@ -271,6 +266,11 @@ class Cleaning:
         if denoised is None or denoised.error is None:
             return None
         return denoised.luminance(accumulated.weights), denoised.error
+
+    def opacity(self) -> Pixels:
+        """(P,) of the fog before what each pixel shows, for paths in squares."""
+        self._guides = replace(self._guides_of_scene(), in_squares=True)
+        return 1.0 - self._guides.transmittance.ravel()
 
     def see(self, accumulated: Accumulator) -> None:
         """Look at the scene, where pictures will be made of these samples, and let it go."""
@@ -291,7 +291,7 @@ def _with_mottle(denoised: denoising.Denoised, accumulated: Accumulator) -> deno
     """A picture whose mottle is judged by the noise of its samples as well as by its halves."""
     if denoised.error is None:
         return denoised
-    luminance, variance = accumulated.luminance(), accumulated.luminance_variance()
+    luminance, variance = accumulated.luminance(), accumulated.coarse_variance()
     noise = dualbuffer.mottle_of_noise(*(values.reshape(accumulated.shape) for values in (luminance, variance)))
     mottle = dualbuffer.joined_mottle(denoised.error.mottle, noise)
     return replace(denoised, error=replace(denoised.error, mottle=mottle))

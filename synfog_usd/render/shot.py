@@ -230,10 +230,10 @@ def _moving(
     progress: Progress,
 ) -> tuple[Accumulator, Cleaning | None]:
     """Samples of an exposure in which something moves, and what cleans them."""
-    rays = _guide_rays(settings.samples) if settings.denoise else 0
+    rays = _guide_rays(loaded.source.camera) if settings.denoise else 0
     movables = moments.Movables(loaded)
     accumulated, guides = moments.accumulate(movables, parts, make, seed=settings.seed, rays=rays, progress=progress)
-    return accumulated, _cleaning(lambda: guides, loaded.source.camera, settings) if settings.denoise else None
+    return accumulated, Cleaning(lambda: guides, draft=settings.draft) if settings.denoise else None
 
 
 def _still(
@@ -243,26 +243,33 @@ def _still(
     seed, target = settings.seed, settings.target
     if not settings.denoise:
         return accumulate_to_target(integrator, target=target, seed=seed, progress=progress), None
-    rays = _guide_rays(settings.samples)
+    rays = _guide_rays(loaded.source.camera)
     if isinstance(integrator, Traces):  # the processor looks while the first kernel of the samples is made ready
         look = denoising.GuideRays(loaded, rays=rays).guides
     else:
         look = functools.partial(denoising.guides, loaded, rays=rays)
-    cleaning = _cleaning(look, loaded.source.camera, settings)
+    cleaning = Cleaning(look, draft=settings.draft)
     accumulated = accumulate_denoised(
-        integrator, target=target, seed=seed, denoised=cleaning.judged, kept=settings.kept, progress=progress
+        integrator,
+        target=target,
+        seed=seed,
+        denoised=cleaning.judged,
+        kept=settings.kept,
+        opacity=cleaning.opacity if _in_squares(loaded.source, settings) else None,
+        progress=progress,
     )
     return accumulated, cleaning
 
 
-def _cleaning(look: Callable[[], denoising.Guides | None], camera: Camera, settings: Settings) -> Cleaning:
-    few = settings.samples < denoising.FEW
-    return Cleaning(look, (camera.height_px, camera.width_px), few=few, draft=settings.draft)
+def _in_squares(scene: SceneDict, settings: Settings) -> bool:
+    """Whether airlight is sampled by squares of pixels: in even fog, where the eye is the judge."""
+    even = all(volume.medium.grid is None for volume in scene.fog)
+    return bool(scene.fog) and even and settings.target_mottle is not None and settings.sensor_sigma is None
 
 
-def _guide_rays(samples: int) -> int:
-    """Rays of a pixel for the guides of a picture of so many samples."""
-    return denoising.FEW_RAYS if samples < denoising.FEW else denoising.GUIDE_RAYS
+def _guide_rays(camera: Camera) -> int:
+    """Rays of a pixel for the guides of a camera's picture: the more pixels, the fewer."""
+    return int(np.clip(denoising.PICTURE_RAYS // (camera.width_px * camera.height_px), *denoising.GUIDE_RAYS))
 
 
 def load(

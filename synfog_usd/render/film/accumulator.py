@@ -110,7 +110,11 @@ ESTIMATOR_COST = {
 crossing), and fixed, so that the same seed gives the same bytes."""
 
 SHARE_PX = 2
-"""Side [px] of the squares in which light groups are kept and denoised: a third of the time for the same error."""
+"""Side [px] of the squares in which light groups are kept and denoised, and airlight of few samples is sampled."""
+
+IN_SQUARES = (INSCATTERED, INSCATTERED_OF_LAMPS)
+"""Estimators whose paths may be those of a square.  Light that the fog scatters, over its opacity, is smooth: it needs
+paths by area, and a pixel of a large picture has paths of its own to no use."""
 
 
 @dataclass(frozen=True)
@@ -129,9 +133,19 @@ class Squares:
         """Rows and columns of squares."""
         return -(-self.height // SHARE_PX), -(-self.width // SHARE_PX)
 
+    def of(self, pixels: Indices) -> Indices:
+        """(N,) squares in which pixels (N,) are."""
+        return pixels // self.width // SHARE_PX * self.shape[1] + pixels % self.width // SHARE_PX
+
+    def pixel(self, squares: Indices, turn: Indices) -> Indices:
+        """(N,) a pixel of each of some squares (N,): of `turn` 0 and 2, 1 and 3 those that face each other."""
+        row, column = np.divmod(squares, self.shape[1])
+        row, column = SHARE_PX * row + turn % 4 // 2, SHARE_PX * column + (turn + 1) % 4 // 2
+        return np.asarray(np.minimum(row, self.height - 1) * self.width + np.minimum(column, self.width - 1))
+
     def add(self, target: Pixels, pixels: Indices, values: Pixels) -> None:
         """Add (N, C) values of pixels (N,) to the sums (S, C) of their squares."""
-        squares = pixels // self.width // SHARE_PX * self.shape[1] + pixels % self.width // SHARE_PX
+        squares = self.of(pixels)
         low = int(squares.min(initial=0))
         squares -= low
         for channel in range(values.shape[1]):
@@ -183,9 +197,11 @@ class Traces(Integrator, Protocol):
     group_names: tuple[str, ...]
     bands: Bands
 
-    def trace(self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int) -> Moments:
+    def trace(
+        self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int, *, over_opacity: bool = False
+    ) -> Moments:
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
-        path.
+        path.  `over_opacity`: light of `IN_SQUARES` over the opacity of the fog before what a path sees.
         """
 
 
@@ -201,6 +217,8 @@ class Estimator:
         counts: (H, P) samples of each half of each pixel.
         lanes: (P,) of each pixel; None where they are as many as the samples.
         cut: the squares in which groups are kept, or None.
+        opacity: (P,) of the fog before what each pixel shows, where paths are those of a square and `counts` as well;
+            None where each pixel has paths of its own.
         fireflies: name -> (H, P, C) what lanes brought beyond their limit; empty where there is none.
     """
 
@@ -210,6 +228,7 @@ class Estimator:
     counts: Pixels
     lanes: Pixels | None = None
     cut: Squares | None = None
+    opacity: FloatArray | None = None
     fireflies: dict[str, Pixels] = field(default_factory=dict)
 
     def number(self) -> Pixels:
@@ -279,6 +298,12 @@ class Accumulator:
     def luminance(self) -> Pixels:
         """(P,) of all light [cd m-2], 0 at least."""
         return np.maximum(self.mean() @ self.weights, 0.0)
+
+    def coarse_variance(self) -> Pixels:
+        """(P,) the same of pixels that would give sums the variance that they have if each had noise of its own."""
+        parts = self.estimators.values()
+        variance = total(part.variance() * (1 if part.opacity is None else SHARE_PX**2) for part in parts)
+        return np.asarray(variance @ self.weights * self.weights.sum())
 
     def luminance_variance(self) -> Pixels:
         """(P,) variance of its mean, as if the channels rose and fell together, as those of one path do."""
@@ -375,8 +400,15 @@ class Accumulator:
         return self._mean_cost({name: float(np.median(count)) for name, count in counts.items()})
 
     def _mean_cost(self, counts: Mapping[str, float]) -> float:
-        cost = {name: ESTIMATOR_COST.get(name, 1.0) for name in counts}
+        cost = self.costs()
         return sum(cost[name] * count for name, count in counts.items()) / sum(cost.values())
+
+    def costs(self) -> dict[str, float]:
+        """Seconds of a path in each pixel or square, for each estimator: relative, by pixel."""
+        return {
+            name: ESTIMATOR_COST.get(name, 1.0) / (1 if part.opacity is None else SHARE_PX**2)
+            for name, part in self.estimators.items()
+        }
 
     def even(self, samples: int) -> dict[str, int]:
         """As many samples of each estimator."""
@@ -439,15 +471,16 @@ def allocation(
         have = {name: int(np.median(e.counts.sum(axis=0)[pixels])) for name, e in accumulated.estimators.items()}
     if len(have) == 1 or min(have.values()) < HALVES:
         return {name: max(samples - count, 0) for name, count in have.items()}
+    cost = accumulated.costs()
     weight = {
-        name: max(math.sqrt(value / ESTIMATOR_COST[name]), 1e-6)
+        name: max(math.sqrt(value / cost[name]), 1e-6)
         for name, value in (
             _coarse_variances(accumulated) if denoised else _relative_variances(accumulated, pixels)
         ).items()
     }
-    budget = samples * sum(ESTIMATOR_COST[name] for name in weight)
-    spent = sum(ESTIMATOR_COST[name] * count for name, count in have.items())
-    share = _filled(weight, have, budget)
+    budget = samples * sum(cost.values())
+    spent = sum(cost[name] * count for name, count in have.items())
+    share = _filled(weight, cost, have, budget)
     step = HALVES if denoised and samples < 3 * CHUNK else CHUNK
     more = {name: max(round((share[name] - count) / step) * step, 0) for name, count in have.items()}
     if budget > spent and not any(more.values()):
@@ -455,13 +488,15 @@ def allocation(
     return more
 
 
-def _filled(weight: Mapping[str, float], have: Mapping[str, int], budget: float) -> dict[str, float]:
+def _filled(
+    weight: Mapping[str, float], cost: Mapping[str, float], have: Mapping[str, int], budget: float
+) -> dict[str, float]:
     """Samples in proportion to `weight`, none fewer than there are, that cost `budget` in all."""
     fixed: set[str] = set()
     while True:
-        rest = budget - sum(ESTIMATOR_COST[name] * have[name] for name in fixed)
+        rest = budget - sum(cost[name] * have[name] for name in fixed)
         free = [name for name in weight if name not in fixed]
-        unit = max(rest, 0.0) / max(sum(ESTIMATOR_COST[name] * weight[name] for name in free), 1e-30)
+        unit = max(rest, 0.0) / max(sum(cost[name] * weight[name] for name in free), 1e-30)
         over = {name for name in free if unit * weight[name] < have[name]}
         if not over:
             return {name: float(have[name]) if name in fixed else unit * weight[name] for name in weight}
@@ -492,7 +527,9 @@ def _relative_variances(accumulated: Accumulator, pixels: Indices | None) -> dic
     return variances
 
 
-def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) -> Accumulator:
+def new_accumulator(
+    integrator: Traces, pixels: int, *, denoised: bool = False, opacity: FloatArray | None = None
+) -> Accumulator:
     """An image of no samples yet.
 
     Sums are in float32, which holds 10^4 chunks to 1e-5 in half the memory; so a standard error below 3e-4 of the light
@@ -501,6 +538,7 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
     Args:
         denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT, and fireflies
             apart.
+        opacity: (P,) see `Estimator`, for paths in squares; None for paths in each pixel.
     """
     groups, bands = len(integrator.group_names), integrator.bands
     groups = groups if groups > 1 else 0
@@ -517,6 +555,7 @@ def new_accumulator(integrator: Traces, pixels: int, *, denoised: bool = False) 
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
             cut,
+            opacity if estimator in IN_SQUARES else None,
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]} if apart else {},
         )
 
@@ -535,14 +574,15 @@ def add_samples(
     seed: int,
     progress: Progress = silent,
 ) -> None:
-    """Add samples to each of some pixels.
+    """Add samples to each of some pixels; to all of them where paths are those of squares.
 
     Args:
         pixels: (N,) their numbers, ascending.
-        samples: estimator -> paths a pixel, or in each cell; half of them, or one more, go to the first half.
+        samples: estimator -> paths in a pixel or square; half of them, or one more, go to the first half.
     """
     accumulated.rounds.append(dict(samples))
-    whole_cost = max(len(pixels) * sum(count * ESTIMATOR_COST[name] for name, count in samples.items()), 1.0)
+    costs = accumulated.costs()
+    whole_cost = max(len(pixels) * sum(count * costs[name] for name, count in samples.items()), 1.0)
     cost = 0.0
     for launches in _batches(_launches(accumulated, integrator, pixels, samples, seed), _times(integrator)):
         for launch in launches:  # to wait for one is to wait for all
@@ -557,14 +597,68 @@ def _launches(
     """Paths that `add_samples` asks for, each launch traced as soon as it is taken; arguments as there."""
     times = _times(integrator)
     for name, count in samples.items():
-        before, estimator_seed = accumulated.estimators[name].counts[:, pixels].copy(), seed32(seed, name)
-        of_chunk = [int(half[0]) % CHUNK for half in before] if before.size else [0] * HALVES
-        for length, chunks in _chunks(count, len(pixels), of_chunk, times):
-            for low in range(0, len(pixels), times * CHUNKED_LANES):
-                some = slice(low, low + times * CHUNKED_LANES)
-                first = np.concatenate([before[half, some] + (half * HALF_STRIDE + offset) for half, offset in chunks])
-                halves = [half for half, _ in chunks]
-                yield _launched(integrator, name, pixels[some], first, length, halves, estimator_seed)
+        estimator, estimator_seed = accumulated.estimators[name], seed32(seed, name)
+        targets = list(_targets(accumulated, estimator, pixels, times * CHUNKED_LANES))
+        counts = [estimator.counts[:, target.corners].copy() for target in targets]
+        of_chunk = [int(half[0]) % CHUNK for half in counts[0]] if targets else [0] * HALVES
+        for length, chunks in _chunks(count, sum(len(target.corners) for target in targets), of_chunk, times):
+            halves = [half for half, _ in chunks]
+            for target, before in zip(targets, counts, strict=True):
+                numbers = np.stack([before[half] + offset for half, offset in chunks])
+                lanes = np.concatenate([target.eye(number, half) for number, half in zip(numbers, halves, strict=True)])
+                first = (numbers + HALF_STRIDE * np.array(halves)[:, None]).ravel()
+                yield _launched(integrator, name, target, (lanes, first), length, halves, estimator_seed)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Pixels that get the light of a launch.
+
+    Attributes:
+        pixels: (P,) ascending.
+        corners: (N,) a pixel of each lane's square; `pixels` where lanes are those of pixels.
+        lane_of: (P,) number of each one's lane, where lanes are those of squares.
+        squares: of which they are then.
+    """
+
+    pixels: Indices
+    corners: Indices
+    lane_of: Indices | None = None
+    squares: Squares | None = None
+
+    @property
+    def at(self) -> slice | Indices:
+        """The pixels; neighbours, which are added up faster, as a slice."""
+        low, high = (int(self.pixels[0]), int(self.pixels[-1]) + 1) if len(self.pixels) else (0, 0)
+        return slice(low, high) if high - low == len(self.pixels) else self.pixels
+
+    def eye(self, number: Indices, half: int) -> Indices:
+        """(N,) the pixel through which each lane looks, of which path (N,) `number` of a half comes next: each pixel of
+        a square in its turn.
+        """
+        if self.squares is None:
+            return self.pixels
+        squares = self.squares.of(self.corners)
+        return self.squares.pixel(squares, squares + number + HALVES * half)
+
+    def fine(self, lanes: Pixels) -> Pixels:
+        """(..., P, C) of (..., N, C)."""
+        return lanes if self.lane_of is None else lanes[..., self.lane_of, :]
+
+
+def _targets(accumulated: Accumulator, estimator: Estimator, pixels: Indices, lanes: int) -> Iterator[_Target]:
+    """Pixels, as many together as `lanes` are, or rows of squares."""
+    height, width = accumulated.shape
+    if estimator.opacity is None:
+        yield from (_Target(some, some) for some in (pixels[low : low + lanes] for low in range(0, len(pixels), lanes)))
+        return
+    squares = Squares(width, height)
+    rows, columns = squares.shape
+    step = max(1, lanes // columns)
+    for row in range(0, rows, step):
+        inside = np.arange(SHARE_PX * row * width, min(SHARE_PX * (row + step), height) * width)
+        some = np.arange(row * columns, min(row + step, rows) * columns)
+        yield _Target(inside, squares.pixel(some, np.zeros_like(some)), squares.of(inside) - row * columns, squares)
 
 
 def _batches(launches: Iterable[_Launch], times: int) -> Iterator[list[_Launch]]:
@@ -606,12 +700,10 @@ def _chunks(count: int, pixels: int, of_chunk: Sequence[int], times: int) -> lis
 
 @dataclass(frozen=True)
 class _Launch:
-    """Paths of an estimator that are being traced: `count` in each lane, for each of `pixels` a lane of each of
-    `halves`.
-    """
+    """Paths of an estimator that are being traced: `count` in each lane, lanes of each of `halves` for `target`."""
 
     name: str
-    pixels: Indices
+    target: _Target
     count: int
     halves: Sequence[int]
     moments: Moments
@@ -619,7 +711,7 @@ class _Launch:
     @property
     def lanes(self) -> int:
         """How many."""
-        return len(self.pixels) * len(self.halves)
+        return len(self.target.corners) * len(self.halves)
 
     @property
     def paths(self) -> int:
@@ -628,30 +720,38 @@ class _Launch:
 
 
 def _launched(
-    integrator: Traces, name: str, pixels: Indices, first: Indices, count: int, halves: Sequence[int], seed: int
+    integrator: Traces,
+    name: str,
+    target: _Target,
+    lanes: tuple[Indices, Indices],
+    count: int,
+    halves: Sequence[int],
+    seed: int,
 ) -> _Launch:
-    moments = integrator.trace(name, backend.numbers(np.tile(pixels, len(halves))), backend.numbers(first), count, seed)
+    """Begin it: `lanes` are the pixel of each and the number of its first path."""
+    pixel, first = (backend.numbers(numbers) for numbers in lanes)
+    moments = integrator.trace(name, pixel, first, count, seed, over_opacity=target.squares is not None)
     dr.eval(moments.aovs, moments.groups, moments.lost)  # which does not wait for it
-    return _Launch(name, pixels, count, halves, moments)
+    return _Launch(name, target, count, halves, moments)
 
 
 def _add(accumulated: Accumulator, launch: _Launch) -> None:
     """Wait for paths, and add them up."""
-    name, pixels, count, halves, moments = launch.name, launch.pixels, launch.count, launch.halves, launch.moments
-    estimator = accumulated.estimators[name]
-    low, high = (int(pixels[0]), int(pixels[-1]) + 1) if len(pixels) else (0, 0)
-    at = slice(low, high) if high - low == len(pixels) else pixels  # neighbours are added up faster
+    target, count, halves, moments = launch.target, launch.count, launch.halves, launch.moments
+    estimator, at = accumulated.estimators[launch.name], launch.target.at
+    opacity = None if estimator.opacity is None else estimator.opacity[at, None]
 
     def lanes(colour: SampledSpectrum, kind: npt.DTypeLike) -> Pixels:
-        return backend.rows(colour, kind).reshape(len(halves), len(pixels), -1)
+        light = target.fine(backend.rows(colour, kind).reshape(len(halves), len(target.corners), -1))
+        return light if opacity is None else light * opacity
 
     light = {
         aov: lanes(colour, estimator.aovs[aov].dtype) for aov, colour in zip(estimator.aovs, moments.aovs, strict=True)
     }
-    for lane in total(lanes(aov, estimator.squares.dtype) for aov in moments.aovs):
+    for lane in total(light.values()):
         estimator.squares[at] += lane**2 / count
     if estimator.fireflies:
-        within_limit = _within_limit(accumulated, estimator, total(light.values()), count, pixels)
+        within_limit = _within_limit(accumulated, estimator, total(light.values()), count, target.pixels)
     for aov, lit in light.items():  # chunk by chunk: the order of the sum is fixed
         for number, half in enumerate(halves):
             if estimator.fireflies:
@@ -660,12 +760,12 @@ def _add(accumulated: Accumulator, launch: _Launch) -> None:
                 estimator.aovs[aov][half, at] += limited
             else:
                 estimator.aovs[aov][half, at] += lit[number]
-    for target, colour in zip(estimator.groups, moments.groups, strict=True):
-        for lane in lanes(colour, target.dtype):
+    for sums, colour in zip(estimator.groups, moments.groups, strict=True):
+        for lane in lanes(colour, sums.dtype):
             if estimator.cut:
-                estimator.cut.add(target, pixels, lane)
+                estimator.cut.add(sums, target.pixels, lane)
             else:
-                target[at] += lane
+                sums[at] += lane
     if estimator.lanes is not None:
         estimator.lanes[at] += len(halves)
     for half in halves:

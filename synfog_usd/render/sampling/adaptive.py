@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synfog_usd.base.arrays import Pixels
+from synfog_usd.base.arrays import FloatArray, Pixels
 from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import LEFT_BY_DENOISING, Error, mottle_of_noise
 from synfog_usd.render.film.accumulator import (
@@ -161,6 +161,7 @@ def accumulate_denoised(
     seed: int,
     denoised: Callable[[Accumulator], tuple[Pixels, Error] | None],
     kept: Sequence[Mapping[str, int]] = (),
+    opacity: Callable[[], FloatArray] | None = None,
     progress: Progress = silent,
 ) -> Accumulator:
     """Sample all pixels alike, until the denoised picture meets the target or the samples are used up.
@@ -170,6 +171,7 @@ def accumulate_denoised(
         denoised: what the samples so far give: luminance and its error, both (H, W); None where that fails.
         kept: `Accumulator.rounds` of the frame before, which are made again where there are the same estimators; more
             follow only where the picture needs `KEPT` times as many.
+        opacity: gives that of the fog in each pixel, see `Estimator`, for paths in squares; None for paths in pixels.
     """
     if not isinstance(integrator, Traces):
         return integrator.accumulate(samples=target.samples, seed=seed, progress=progress)
@@ -178,7 +180,8 @@ def accumulate_denoised(
         return accumulate_by_estimator(integrator, samples=target.samples, seed=seed, denoised=True, progress=progress)
     camera = integrator.loaded.source.camera
     pixels = camera.width_px * camera.height_px
-    accumulated, everywhere = new_accumulator(integrator, pixels, denoised=True), np.arange(pixels)
+    accumulated = new_accumulator(integrator, pixels, denoised=True, opacity=opacity() if opacity else None)
+    everywhere = np.arange(pixels)
     spent, share = 0, 0.0  # samples, and the part of the work that they are, as far as is known
     after, enough = min(FIRST, target.samples), KEPT if again else 1.0
     reach = 1.0 if target.open else after / target.samples
@@ -210,7 +213,7 @@ def _times_before_denoising(accumulated: Accumulator, target: Target) -> float:
     needed = float(noise / DENOISER_GAIN) ** 2
     if target.mottle is not None:
         luminance, variance = (
-            values.reshape(accumulated.shape) for values in (accumulated.luminance(), accumulated.luminance_variance())
+            values.reshape(accumulated.shape) for values in (accumulated.luminance(), accumulated.coarse_variance())
         )
         needed = max(needed, (LEFT_BY_DENOISING * mottle_of_noise(luminance, variance) / target.mottle) ** 2)
     return needed
