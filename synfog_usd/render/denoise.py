@@ -168,16 +168,18 @@ def denoise_halves(
         DenoiserError: Open Image Denoise fails.
     """
     weights = np.asarray(weights, dtype=np.float32)
-    components = dict[str, FloatArray]()
+    components, coarse = dict[str, FloatArray](), _binned(guides)
     noisy = done = np.zeros((HALVES, *guides.transmittance.shape), dtype=np.float32)
     for index, (name, make) in enumerate(halves.items()):
         progress("denoising", index / len(halves))
         finished = pair = make()
         if name not in NOISELESS:
-            cleaned = np.empty_like(pair)
-            for half, noisy_half in enumerate(pair):
-                cleaned[half] = denoise({name: noisy_half}, guides, quick=quick)[name]
-            finished = dualbuffer.towards_truth(pair, cleaned, weights, nearby=name == LIT)
+            seen = coarse if guides.in_squares and name not in (SURFACE, LIT) else guides
+            halves_seen = pair if seen is guides else np.stack([dualbuffer.binned(half, SHARE_PX) for half in pair])
+            cleaned = np.stack([denoise({name: half}, seen, quick=quick)[name] for half in halves_seen])
+            finished = dualbuffer.towards_truth(halves_seen, cleaned, weights, nearby=name == LIT)
+            if seen is coarse:
+                finished = np.stack([_fine_air(half, coarse, guides) for half in finished])
         noisy, done = noisy + pair @ weights, done + finished @ weights
         part = SURFACE if name == LIT else name
         components[part] = components.get(part, np.float32(0.0)) + finished.mean(axis=0)
@@ -205,10 +207,14 @@ def denoise_draft(
     for name, make in halves.items():
         part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
         means[part] = means.get(part, np.float32(0.0)) + make().mean(axis=0)
-    components = dict[str, FloatArray]()
+    components, coarse = dict[str, FloatArray](), _binned(guides)
     for index, (name, mean) in enumerate(means.items()):
         progress("denoising", index / len(means))
-        components[name] = denoise({name: mean}, guides, quick=True)[name]
+        if name == AIRLIGHT and guides.in_squares:
+            air = denoise({name: dualbuffer.binned(mean, SHARE_PX)}, coarse, quick=True)[name]
+            components[name] = _fine_air(air, coarse, guides)
+        else:
+            components[name] = denoise({name: mean}, guides, quick=True)[name]
         if name not in NOISELESS:
             components[name] = dualbuffer.given_back(mean[None], components[name][None], weights)[0]
     return Denoised(components, None, quick=True)
@@ -258,22 +264,32 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
             network: Network = "high" if not quick else "fast" if name == LIT else "balanced"
             cleaned[name] = _clean_surface(image, through, albedo, normal, network)
         else:
-            step = SHARE_PX if guides.in_squares else 1
-            cleaned[name] = _clean_air(image, through, step, "fast" if quick else "high")
+            cleaned[name] = _clean_air(image, through, "fast" if quick else "high")
     return cleaned
 
 
-def _clean_air(image: FloatArray, through: FloatArray, step: int, network: Network) -> FloatArray:
-    """Light of the fog, (H, W, C), before what the fog lets `through`, (H, W, 1); cleaned in squares of `step` pixels.
+def _clean_air(image: FloatArray, through: FloatArray, network: Network) -> FloatArray:
+    """Light of the fog, (H, W, C), before what the fog lets `through`, (H, W, 1).
 
     Guides say that there is no edge: that errs 2 to 15 % less than no guides at all.  A large frame fills memory: what
     the denoiser does not need is made anew after it.
     """
-    hiding = np.maximum(1.0 - through, np.float32(FAINT_AIR))
-    light = np.asarray(dualbuffer.binned(image, step) / dualbuffer.binned(hiding, step), dtype=np.float32)
-    flat = np.ones((*light.shape[:2], 3), dtype=np.float32)
-    light = _clean(light, _as_guides(flat, np.zeros_like(flat)), network=network)
-    return hiding * dualbuffer.spread(light, step, image.shape)
+    hiding = np.maximum(1.0 - through, FAINT_AIR)
+    flat = np.ones((*image.shape[:2], 3), dtype=np.float32)
+    return hiding * _clean(image / hiding, _as_guides(flat, np.zeros_like(flat)), network=network)
+
+
+def _binned(guides: Guides) -> Guides:
+    """Means over squares of `SHARE_PX`."""
+    albedo, normal = dualbuffer.binned(guides.albedo, SHARE_PX), dualbuffer.binned(guides.normal, SHARE_PX)
+    return Guides(albedo, normal, dualbuffer.binned(guides.transmittance[..., None], SHARE_PX)[..., 0])
+
+
+def _fine_air(light: FloatArray, coarse: Guides, guides: Guides) -> FloatArray:
+    """(H, W, C) airlight of squares, (h, w, C): over what hides the surfaces it is smooth."""
+    hiding, finely = (np.maximum(1.0 - seen.transmittance, FAINT_AIR)[..., None] for seen in (coarse, guides))
+    over = np.asarray(light / hiding, dtype=np.float32)
+    return np.asarray(finely * dualbuffer.spread(over, SHARE_PX, finely.shape), dtype=np.float32)
 
 
 def _clean_surface(
@@ -330,11 +346,7 @@ def divide(
             sums[part] = np.asarray(sums[part] + light if part in sums else light, dtype=np.float32)
         return sums
 
-    coarse = Guides(
-        dualbuffer.binned(guides.albedo, SHARE_PX),
-        dualbuffer.binned(guides.normal, SHARE_PX),
-        dualbuffer.binned(guides.transmittance[..., None], SHARE_PX)[..., 0],
-    )
+    coarse = _binned(guides)
 
     def clean(part: str, light: FloatArray) -> FloatArray:
         if part not in NOISELESS:
