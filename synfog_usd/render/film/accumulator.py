@@ -454,7 +454,7 @@ def undivided(total: Pixels, squares: Pixels, samples: int, lost: int = 0) -> Ac
 
 
 def allocation(
-    accumulated: Accumulator, samples: int, *, denoised: bool = False, pixels: Indices | None = None
+    accumulated: Accumulator, samples: float, *, denoised: bool = False, pixels: Indices | None = None
 ) -> dict[str, int]:
     """How many more samples each estimator should get, at the cost of `samples` of each in all.
 
@@ -470,7 +470,7 @@ def allocation(
     if pixels is not None:
         have = {name: int(np.median(e.counts.sum(axis=0)[pixels])) for name, e in accumulated.estimators.items()}
     if len(have) == 1 or min(have.values()) < HALVES:
-        return {name: max(samples - count, 0) for name, count in have.items()}
+        return {name: max(round(samples) - count, 0) for name, count in have.items()}
     cost = accumulated.costs()
     weight = {
         name: max(math.sqrt(value / cost[name]), 1e-6)
