@@ -81,7 +81,7 @@ MOTTLE_WIDTHS, LEAST_MOTTLE_PX = 40, 4
 """Width of a picture over the standard deviation of the blur under which its error counts as mottle, and the least such
 standard deviation [px]."""
 
-LEFT_BY_DENOISING = 0.75
+LEFT_BY_DENOISING = 0.85
 """Mottle of a denoised picture over `mottle_of_noise` of its samples: 0.64 to 1.03 on five streets from 8 samples on.
 
 With 2 samples of a pixel it is up to twice as large, and the estimate of mottle is too low.

@@ -6,7 +6,6 @@ never in seconds, so that the same seed gives the same bytes on any machine.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,6 @@ from synfog_usd.base.progress import Progress, silent, within
 from synfog_usd.render.dualbuffer import LEFT_BY_DENOISING, Error, mottle_of_noise
 from synfog_usd.render.film.accumulator import (
     CHUNK,
-    HALVES,
     Accumulator,
     Integrator,
     Traces,
