@@ -36,6 +36,22 @@ def test_a_limit_lets_even_light_through_and_grows_as_the_root_of_the_paths():
     assert fireflies.mean_below(light, 8) == pytest.approx(1.0, rel=0.1)  # 12.5 with the four of them
 
 
+def test_what_one_half_alone_has_of_a_surface_is_a_firefly():
+    """A lamp's face, bright in both halves, stays as it is; a pixel that is bright in one is cut to 21 times the mean
+    of all paths, and with 1600 paths, where that is a limit of 1 + 20 * 10 / 800, to 1.25 times.
+    """
+    halves = np.ones((2, *SHAPE, 3), dtype=np.float32)
+    halves[:, 5:8, 5:8] = 1e4
+    halves[1, 30, 50] = 1e4
+    weights = [0.2126, 0.7152, 0.0722]
+    few, many = (fireflies.confirmed(halves, weights, paths) for paths in (2, 1600))
+    for kept, limit in ((few, 21.0), (many, 1.25)):
+        changed = kept != halves
+        assert changed[1, 30, 50].all()
+        assert changed.sum() == 3
+        assert kept[1, 30, 50] == pytest.approx(limit, rel=0.2)  # the mean holds a little of the lamp
+
+
 def lamp_beside_a_ground():
     """A bulb a hand's breadth over a grey ground in fog, of which paths find the bright spot beneath it rarely."""
     grey = {"type": "diffuse", "reflectance": rgb(0.5)}

@@ -97,6 +97,9 @@ AOVS = {
 WITH_FIREFLIES = (INSCATTERED_OF_LAMPS,)
 """Estimators whose fireflies are kept apart in a picture that will be denoised, see `fireflies`."""
 
+ON_SURFACES = (SURFACE, SURFACE_OF_LAMPS)
+"""Estimators whose fireflies are what one half of the samples has and the other has not."""
+
 ESTIMATOR_COST = {
     SURFACE: 1.0,
     INSCATTERED: 1.2,
@@ -327,10 +330,22 @@ class Accumulator:
             for aov, sums in estimator.aovs.items():
                 if component == (LIT if name == LIT else aov):
                     number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
-                    halves += sums / number
+                    light = np.asarray(sums / number, dtype=np.float32)
+                    halves += self._without_fireflies(name, light) if name in ON_SURFACES else light
                     if aov in estimator.fireflies:
                         halves += self._spread_out(name, estimator.fireflies[aov] / number)
         return halves.reshape(HALVES, *self.shape, -1)
+
+    def _without_fireflies(self, name: str, light: FloatArray) -> FloatArray:
+        """(2, P, C) light of an estimator of surfaces, of which one half alone has what is spread out."""
+        paths = int(self.estimators[name].counts[:, 0].sum())
+        kept = fireflies.confirmed(light.reshape(HALVES, *self.shape, -1), self.weights, paths).reshape(light.shape)
+        weights = np.asarray(self.weights, dtype=np.float32)
+        wide = [
+            fireflies.spread_out(half, more @ weights, self.shape)
+            for half, more in zip(light - kept, kept, strict=True)
+        ]
+        return kept + np.stack(wide)
 
     def _spread_out(self, name: str, light: Pixels) -> FloatArray:
         """(2, P, C) fireflies of an estimator, in the shape of all light of its lamps that the fog scatters."""

@@ -6,6 +6,9 @@ light may come from further around.  Here light of a lane of paths beyond a limi
 surroundings in the shape that the other light of the lamps has in the fog there.  None is lost.  The limit grows with
 the number of paths, and with it the bias vanishes.  Reference images are made without.
 
+Light of surfaces has edges and small bright things.  There only that counts as a firefly which one half of the samples
+has, and the other has not nearby.
+
 In kind: Zirr, Hanika and Dachsbacher 2018, "Reweighting firefly samples for improved finite-sample Monte Carlo
 estimates", who keep more of the light that neighbouring pixels confirm.
 """
@@ -32,6 +35,9 @@ WIDTHS = 8
 SHAPE_PX = 1.0
 """Standard deviation [px] of the blur of the light whose shape it takes."""
 
+NEARBY_PX = 5
+"""Side [px] of the squares in which the other half may confirm what is bright."""
+
 ROUNDS = 4
 """Times that the mean of light below its own limit is taken anew."""
 
@@ -53,6 +59,23 @@ def mean_below(light: Array, count: int) -> float:
     for _ in range(ROUNDS):
         level = float(np.minimum(light, limit(level, count, 0)).mean(dtype=np.float64)) / count
     return level
+
+
+def confirmed(halves: Array, weights: Array, paths: int) -> Array:
+    """(2, H, W, C) light of two halves of the samples as far as it is no firefly: where a half is brighter than the
+    limit and than all that the other has nearby, it keeps as much.
+
+    Args:
+        halves: (2, H, W, C), means of a half of `paths` each.
+        weights: (C,) of the channels in luminance.
+    """
+    from scipy import ndimage
+
+    luminance = np.maximum(halves @ np.asarray(weights, dtype=halves.dtype), 0.0)
+    count = max(1, paths // 2)
+    least = limit(mean_below(luminance, 1), count, paths) / count
+    nearby = np.stack([ndimage.maximum_filter(other, NEARBY_PX, mode="nearest") for other in luminance[::-1]])
+    return np.asarray(halves * np.minimum(np.maximum(nearby, least) / np.maximum(luminance, 1e-30), 1.0)[..., None])
 
 
 def spread_out(fireflies: Array, like: Array, shape: tuple[int, int]) -> Array:
