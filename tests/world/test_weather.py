@@ -4,13 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdShade
+from pxr import Usd, UsdGeom, UsdShade
 
 import synfog_usd as sf
 from synfog_usd.base.errors import RecipeError
-from synfog_usd.stage import select
+from synfog_usd.stage import open_stage, select
+from synfog_usd.translate import translate
 from synfog_usd.world.compose import draw, load
 from synfog_usd.world.roads.asphalt import Asphalt
+from synfog_usd.world.roads.spray import clouds, extinction, water_kg_m3
 from synfog_usd.world.roads.water import film_depth_mm, standing
 
 
@@ -89,3 +91,55 @@ def test_weather_that_does_not_exist_is_refused_with_its_place(fog, tmp_path):
     """One line that says what it takes."""
     with pytest.raises(RecipeError, match=r"--fog:1:\d+: "):
         sf.compose("residential", tmp_path / "s.usda", fog=fog)
+
+
+def test_spray_is_what_the_published_shares_say_and_needs_water_and_speed():
+    """Flintsch's own example: a lorry's twin tyre of 0.56 m at 62 mph (27.8 m/s) in 1 mm of water.  Standing, and on a
+    dry road, there is none.
+    """
+    taken = 27.778 * 0.56 * 997.0 * np.array([0.75e-4, 0.25e-3, 0.3375e-3, 0.3375e-3])  # film, grooves, bow, sides
+    shares = np.array([-2.69e-5, 1.16e-5, 2.67e-5, 1.65e-5]) * 62.137 + [2.43e-3, -5.25e-5, -4.71e-4, -3.99e-4]
+    assert float(water_kg_m3(27.778, 1e-3, 0.56)) == pytest.approx(float(taken @ shares), rel=1e-3)
+    drop_m = 0.8e-3 * 6.0 / 27.778
+    wanted = 1.5 * float(taken @ shares) / (997.0 * drop_m)  # of balls: 3 V / 2 D
+    assert float(extinction(27.778, 1e-3, 0.56)) == pytest.approx(wanted, rel=1e-3)
+    np.testing.assert_array_equal(extinction([0.0, 4.0, 30.0], 0.0, 0.2), 0.0)
+    np.testing.assert_array_equal(extinction([0.0, 4.0], 1e-3, 0.2), 0.0)
+
+
+@pytest.fixture(scope="module")
+def motorway(tmp_path_factory):
+    path = tmp_path_factory.mktemp("spray") / "street.usda"
+    fogs = "300,rain10,rain25,snow2,rain10+mor300"
+    spec = sf.compose("motorway", path, seed=4, fog=fogs, seconds=3.0, fps=4.0, change=["traffic.per_hour=1600"])
+    return spec, path
+
+
+def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
+    """At the ends of a clip: its fogs are nested or apart, each cloud is about what is behind its vehicle, and heavier
+    rain makes it denser; snow, fog and a mixture have none.
+    """
+    spec, path = motorway
+    usd = open_stage(path)
+    dense = {}
+    for fog in spec.fog:
+        select(usd, fog=fog)
+        prims = [prim for prim in usd.GetPrimAtPath("/World/Fog").GetChildren() if prim.GetName().startswith("Spray")]
+        dense[fog] = np.array([prim.GetAttribute("synfog:fog:sigma_t").Get(0.0) for prim in prims])
+    assert {fog for fog, values in dense.items() if len(values)} == {"rain10", "rain25"}
+    assert np.all(dense["rain25"] > 1.2 * dense["rain10"])
+    select(usd, fog="rain10", lighting="sky")
+    behind = clouds(spec.placed, spec.view, spec.falls["rain10"])
+    for frame in (0.0, 11.0):
+        scene = translate(usd, frame=frame)  # fogs that cross are an error
+        fogs, origin = scene.fog, np.asarray(scene.origin_m)
+        balls = [volume for volume in fogs if "Spray" in volume.path]
+        assert len(balls) == len(behind) > 2 or frame > 0.0
+        for ball in balls:
+            cloud = behind[int(ball.path[-2:]) - 1]
+            p = spec.placed[cloud.vehicle]
+            vehicle = UsdGeom.Xformable(usd.GetPrimAtPath(f"/World/{p.group}/{p.name}"))
+            place = np.array(vehicle.ComputeLocalToWorldTransform(frame))[3, :3]
+            apart = np.linalg.norm(ball.boundary.to_world[:3, 3] + origin - place)
+            assert apart == pytest.approx(cloud.behind_m, abs=1e-3)
+            assert fogs[ball.parent].path == "/World/Fog/Global"

@@ -14,15 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
+from synfog_usd.fog import Fog
 from synfog_usd.world import authoring, lamps
 from synfog_usd.world.components import author_material, author_mesh, label, new_stage
 from synfog_usd.world.library import model, nominal
 from synfog_usd.world.materials import PALETTE, Material
-from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built, water
+from synfog_usd.world.roads import asphalt, crossing_built, horizon, road_built, roundabout_built, spray, water
 from synfog_usd.world.roads.crossing import Crossing
 from synfog_usd.world.roads.network import Road
 from synfog_usd.world.roads.roundabout import Roundabout
@@ -86,7 +87,7 @@ def _without_placements(path: Path, spec: WorldSpec, assets: str) -> Sdf.Layer:
     _author_built(stage, spec, assets)
     for variant, fog in spec.falls.items():
         if "rain" in fog.rates:
-            _author_wet(stage, spec, variant, fog.rates["rain"], assets)
+            _author_wet(stage, spec, variant, fog, assets)
     authoring.author_render(stage)
     if spec.products:
         authoring.author_products(stage, [authoring.EGO, *(f"{authoring.RIG}/{eye.name}" for eye in spec.rig)])
@@ -133,10 +134,11 @@ def _author_built(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:
         _author_scatter(stage, scatter, bind, assets)
 
 
-def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, rate_mm_h: float, assets: str) -> None:
+def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, fog: Fog, assets: str) -> None:
     """A variant of the fog in which rain wets the road: its materials, which are stronger than the dry ones that the
-    stage refers to, and standing water.
+    stage refers to, standing water, and spray.
     """
+    rate_mm_h = fog.rates["rain"]
     kind, textures = KINDS[type(spec.road)], f"{assets}/textures/"
     paved: asphalt.Asphalt = spec.built.get("asphalt", asphalt.Asphalt())
     parts = by_material(kind.water(spec, spec.road, rate_mm_h))
@@ -157,7 +159,34 @@ def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, rate_mm_h: floa
             for name, part in parts.items():
                 mesh = author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim()
                 UsdShade.MaterialBindingAPI.Apply(mesh).Bind(look)
+        for number, cloud in enumerate(spray.clouds(spec.placed, spec.view, fog), 1):
+            _author_spray(stage, Sdf.Path(spray.PATH.format(number)), spec, cloud, spray_water(spec, fog))
     choices.SetVariantSelection(before)
+
+
+def spray_water(spec: WorldSpec, fog: Fog) -> float:
+    """Depth of the water that wheels throw up in rain [m]."""
+    paved: asphalt.Asphalt = spec.built.get("asphalt", asphalt.Asphalt())
+    return water.film_m(paved, fog.rates["rain"], spec.road if isinstance(spec.road, Road) else None)
+
+
+def _author_spray(stage: Usd.Stage, path: Sdf.Path, spec: WorldSpec, cloud: spray.Cloud, depth_m: float) -> None:
+    """A ball of drops that scatter as rain's do: one phase function is all that a fast path through fog knows."""
+    ball, types, p = UsdGeom.Sphere.Define(stage, path), Sdf.ValueTypeNames, spec.placed[cloud.vehicle]
+    ball.CreateRadiusAttr(1.0)
+    ball.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(-1), Gf.Vec3f(1)]))
+    ball.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    ball.AddTransformOp().Set(Gf.Matrix4d(np.round(cloud.to_world(p.x, p.y, p.z, p.heading, p.pitch).T, 5).tolist()))
+    prim = ball.GetPrim()
+    prim.AddAppliedSchema("SynFogMediumAPI")
+    for name, kind, value in (
+        ("medium:kind", types.Token, "rain"),
+        ("fog:profile", types.Token, "exponential"),
+        ("fog:scaleHeight", types.Float, cloud.half_m[2]),
+        ("fog:sigma_t", types.Float, float(cloud.densest(p.speed_m_s or 0.0, depth_m))),
+    ):
+        varies = Sdf.VariabilityUniform if kind == types.Token else Sdf.VariabilityVarying
+        prim.CreateAttribute(f"synfog:{name}", kind, False, varies).Set(value)
 
 
 def author_lanes(stage: Usd.Stage, spec: WorldSpec) -> None:

@@ -65,6 +65,11 @@ def depth_of(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> fl
     return film_depth_mm(rate_mm_h, length, fall, TEXTURE_MM[asphalt.kind])
 
 
+def film_m(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> float:
+    """Depth of the water over the bottom of a road's texture [m]; 0 where it is dry."""
+    return 1e-3 * max(depth_of(asphalt, rate_mm_h, road) + TEXTURE_MM[asphalt.kind], 0.0)
+
+
 def rained_on(
     asphalt: Asphalt, rate_mm_h: float, materials: Mapping[str, Material], road: Road | None = None
 ) -> dict[str, Material]:
@@ -94,8 +99,7 @@ def standing(road: Road, asphalt: Asphalt, rate_mm_h: float, *, seed: int, low: 
         low: station where it begins [m].
     """
     end = road.reference_line.length if road.land.hill is None else road.land.hill[0] + INTO_TUNNEL_M
-    water = depth_of(asphalt, rate_mm_h, road) + TEXTURE_MM[asphalt.kind]
-    level = float(np.interp(water, *LEVELS))
+    level = float(np.interp(1e3 * film_m(asphalt, rate_mm_h, road), *LEVELS))
     parts = []
     for number, lane in enumerate(road.lane_section.lanes):
         if lane.kind not in PAVED:

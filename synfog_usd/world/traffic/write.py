@@ -11,8 +11,9 @@ import numpy as np
 from pxr import Gf, Sdf
 
 from synfog_usd.base.arrays import Array
+from synfog_usd.fog import Fog
 from synfog_usd.world import authoring
-from synfog_usd.world.roads import stage
+from synfog_usd.world.roads import spray, stage
 from synfog_usd.world.shapes import shift, turn
 from synfog_usd.world.spec import Placement, View, WorldSpec
 from synfog_usd.world.traffic.motion import Clip, Track
@@ -44,6 +45,31 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     for index, lenses in sorted(clip.signals.items()):
         author_signal(layer, spec.placed[index], lenses, clip.codes)
     _author_cameras(layer, spec, clip)
+    for variant, fog in spec.falls.items():
+        _author_spray(layer, spec, clip, variant, fog)
+
+
+def _author_spray(layer: Sdf.Layer, spec: WorldSpec, clip: Clip, variant: str, fog: Fog) -> None:
+    """Clouds of spray go with their vehicles, as dense as their speed makes them, and are none in frames in which one
+    meets the camera or a cloud before it.
+    """
+    taken = [spray.around(clip.ego.x, clip.ego.y)]
+    for number, cloud in enumerate(spray.clouds(spec.placed, spec.view, fog), 1):
+        track = clip.tracks.get(cloud.vehicle)
+        prim = layer.GetPrimAtPath(spray.PATH.format(number).replace("/World/", f"/World{{fog={variant}}}"))
+        if track is None or prim is None:
+            continue
+        rows = np.stack([track.x, track.y, track.z, track.heading, track.pitch], axis=1)
+        places = [Gf.Matrix4d(np.round(cloud.to_world(*row).T, 5).tolist()) for row in rows.tolist()]
+        sample(layer, prim.attributes["xformOp:transform"].path, clip.codes, places)
+        dense = cloud.densest(track.speed, stage.spray_water(spec, fog))
+        sample(layer, prim.attributes["synfog:fog:sigma_t"].path, clip.codes, np.round(dense, 6).tolist())
+        here = spray.corners(track.x, track.y, track.heading, cloud.behind_m, cloud.half_m)
+        free = track.shown & (dense > 0.0)
+        for other in taken:
+            free &= ~spray.meet(here, other)
+        sample(layer, attribute(prim, "synfog:fog:enabled", KINDS.Bool, True), clip.codes, free.tolist())
+        taken.append(here)
 
 
 def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, clip: Clip) -> None:
