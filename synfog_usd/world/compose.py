@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -206,7 +207,9 @@ def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> tuple[WorldSpec, m
         return spec, None
     headway_s = draws.number("traffic.headway_s") if "traffic.headway_s" in recipe.distributions else HEADWAY_S
     pace = motion.Pace(speed_m_s(draws), headway_s, seed)
-    return motion.clip_of(spec, pace, frames=frames, fps=fps)
+    spec, clip = motion.clip_of(spec, pace, frames=frames, fps=fps)
+    wind_m_s, towards = draws.number("time.wind_m_s"), math.radians(draws.number("time.wind_deg"))
+    return spec, replace(clip, wind_m_s=(wind_m_s * math.sin(towards), wind_m_s * math.cos(towards)))
 
 
 def asset_folder(stage_folder: Path, assets: Path) -> str:

@@ -107,20 +107,27 @@ def test_spray_is_what_the_published_shares_say_and_needs_water_and_speed():
     np.testing.assert_array_equal(extinction([0.0, 4.0], 1e-3, 0.2), 0.0)
 
 
+CLIP = ["traffic.per_hour=1600", "time.wind_m_s=2", "time.wind_deg=180"]
+
+
 @pytest.fixture(scope="module")
 def motorway(tmp_path_factory):
     path = tmp_path_factory.mktemp("spray") / "street.usda"
     fogs = "300,rain10,rain25,snow2,rain10+mor300"
-    spec = sf.compose("motorway", path, seed=4, fog=fogs, seconds=3.0, fps=4.0, change=["traffic.per_hour=1600"])
+    spec = sf.compose("motorway", path, seed=4, fog=fogs, seconds=3.0, fps=4.0, change=CLIP)
     return spec, path
 
 
 def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
     """At the ends of a clip: its fogs are nested or apart, each cloud is about what is behind its vehicle, and heavier
-    rain makes it denser; snow, fog and a mixture have none.
+    rain makes it denser; snow, fog and a mixture have none.  The wind carries one field of patches, of the same mean.
     """
     spec, path = motorway
     usd = open_stage(path)
+    field = [translate(usd, frame=frame, fog=sf.Fog(150, outer_scale_m=8.0)).fog[0] for frame in (0.0, 11.0)]
+    way = np.subtract(field[1].origin_m, field[0].origin_m)
+    np.testing.assert_allclose(way, (0.0, -2.0 * 11.0 / 4.0, 0.0), atol=1e-3)  # 2 m/s to the south
+    assert field[0].medium.grid is field[1].medium.grid and field[1].medium.visibility_m == pytest.approx(150.0)
     dense = {}
     for fog in spec.fog:
         select(usd, fog=fog)

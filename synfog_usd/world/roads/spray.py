@@ -29,7 +29,7 @@ LANDS, FILM_M, WATER_KG_M3 = 0.75, 1e-4, 997.0
 """Share of a tyre's width that is no groove; film that stays on it; density of water."""
 DROP_M, DROP_AT_M_S = 8e-4, 6.0
 """Mean diameter of drops at a speed; it goes as one over the speed, which is the root of Weber's number."""
-FALL_S, SHORTEST_M, LONGEST_M, ASIDE_M = 0.7, 2.0, 20.0, 0.7
+FALL_S, SHORTEST_M, LONGEST_M, ASIDE_M = 0.5, 2.0, 15.0, 0.7
 """Time for which drops stay up, how far behind a vehicle its cloud reaches, and to each side: estimates by eye."""
 SLOWEST_M_S = 5.0
 ROOM_M = 2.5
@@ -114,23 +114,29 @@ def clouds(placed: Sequence[Placement], view: View, fog: Fog) -> list[Cloud]:
         return result
     taken = [around(np.array([view.x]), np.array([view.y]))]
     moving = [
-        number for number, p in enumerate(placed) if p.group == "Vehicles" and (p.speed_m_s or 0.0) >= SLOWEST_M_S
+        number
+        for number, p in enumerate(placed)
+        if p.group == "Vehicles" and p.asset in nominal() and (p.speed_m_s or 0.0) >= SLOWEST_M_S
     ]
     for number in sorted(moving, key=lambda number: _rank(placed[number], view)):
         p = placed[number]
-        if p.asset not in nominal():
-            continue
-        long, (wide, high) = nominal()[p.asset]["length_m"] * p.size, SIZES_M.get(p.asset, SIZE_M)
         reach = float(np.clip(FALL_S * (p.speed_m_s or 0.0), SHORTEST_M, LONGEST_M))
-        half = (0.5 * wide + ASIDE_M, 0.5 * (0.5 * long + reach), high)
-        cloud = Cloud(number, 0.5 * reach + 0.25 * long, half, TYRES_M.get(p.asset, TYRE_M))
-        here = corners(np.array([p.x]), np.array([p.y]), np.array([p.heading]), cloud.behind_m, half)
-        if not any(meet(here, other).any() for other in taken):
-            taken.append(here)
-            result.append(cloud)
+        for cloud in (_behind(number, p, share * reach) for share in (1.0, 0.5)):
+            here = corners(np.array([p.x]), np.array([p.y]), np.array([p.heading]), cloud.behind_m, cloud.half_m)
+            if not any(meet(here, other).any() for other in taken):
+                taken.append(here)
+                result.append(cloud)
+                break
         if len(result) == MOST:
             break
     return result
+
+
+def _behind(number: int, p: Placement, reach_m: float) -> Cloud:
+    """From the middle of a vehicle to so far behind it."""
+    long, (wide, high) = nominal()[p.asset]["length_m"] * p.size, SIZES_M.get(p.asset, SIZE_M)
+    half = (0.5 * wide + ASIDE_M, 0.5 * (0.5 * long + reach_m), high)
+    return Cloud(number, 0.5 * reach_m + 0.25 * long, half, TYRES_M.get(p.asset, TYRE_M))
 
 
 def _rank(p: Placement, view: View) -> float:

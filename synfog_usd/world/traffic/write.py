@@ -45,6 +45,10 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
     for index, lenses in sorted(clip.signals.items()):
         author_signal(layer, spec.placed[index], lenses, clip.codes)
     _author_cameras(layer, spec, clip)
+    drift = layer.GetAttributeAtPath("/World/Fog/Global.xformOp:translate")
+    way = np.outer(clip.codes / clip.fps, [*clip.wind_m_s, 0.0])
+    places = [Gf.Vec3d(*row) for row in np.round(np.array(drift.default) + way, 4).tolist()]
+    sample(layer, drift.path, clip.codes, places)
     for variant, fog in spec.falls.items():
         _author_spray(layer, spec, clip, variant, fog)
 
