@@ -13,7 +13,7 @@ from synfog_usd.translate import translate
 from synfog_usd.world.compose import draw, load
 from synfog_usd.world.roads.asphalt import Asphalt
 from synfog_usd.world.roads.spray import clouds, extinction, water_kg_m3
-from synfog_usd.world.roads.water import film_depth_mm, standing
+from synfog_usd.world.roads.water import film_depth_mm, ripples, standing
 
 
 def test_water_is_as_deep_as_the_road_research_laboratory_found():
@@ -23,6 +23,17 @@ def test_water_is_as_deep_as_the_road_research_laboratory_found():
     for rate in (25.0, 50.0):
         british = 0.046 * (5.0 * rate) ** 0.5 * 0.025**-0.2
         assert film_depth_mm(rate, 5.0, 0.025, 0.5) + 0.5 == pytest.approx(british, rel=0.25)
+
+
+def test_ripples_have_the_energy_of_published_rain():
+    """A hundredth of Wischmeier and Smith's (1958) kinetic energy, 11.9 + 8.7 log10(I) J/m2 for each mm, that decays by
+    4 nu k^2 a second; surface waves have rho g + T k^2 times their mean square height.  Within a quarter.
+    """
+    for rate in (5.0, 25.0):
+        watts = 0.01 * (11.9 + 8.7 * np.log10(rate)) * rate / 3600.0
+        height2 = watts / (4e-6 * 200.0**2) / (9810.0 + 0.0728 * 200.0**2)
+        assert ripples(rate) == pytest.approx(200.0**2 * height2, rel=0.25)
+        assert 1e-4 < height2**0.5 < 1e-3
 
 
 def test_standing_water_grows_with_the_rate_and_never_leaves_what_is_paved():

@@ -155,7 +155,7 @@ def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, fog: Fog, asset
             prim = UsdGeom.Xform.Define(stage, "/World/Road/Water").GetPrim()
             Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
             label(prim, "road")
-            look = author_material(stage, Sdf.Path("/World/Road/Water/Look"), LOOKS["puddle"], textures=textures)
+            look = author_material(stage, Sdf.Path("/World/Road/Water/Look"), wet["puddle"], textures=textures)
             for name, part in parts.items():
                 mesh = author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim()
                 UsdShade.MaterialBindingAPI.Apply(mesh).Bind(look)

@@ -5,6 +5,7 @@ Takes a rate of rain and a road; gives materials, and parts of the level plane. 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -14,6 +15,8 @@ from scipy.ndimage import gaussian_filter
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.seeds import stream
+from synfog_usd.fog.drops import rain_sizes
+from synfog_usd.fog.falling import SizeClasses
 from synfog_usd.world.materials import Material
 from synfog_usd.world.roads.asphalt import INTO_TUNNEL_M, PUDDLE_M, TRACK_M, Asphalt, looks
 from synfog_usd.world.roads.lane_section import DRIVEN, PAVED
@@ -37,6 +40,12 @@ DEEPER = {"new": -0.9, "worn": 0.0, "old": 0.4, "chip_seal": -0.9}
 """How much deeper ruts and hollows are than those of a worn road, in deviations of the field: estimates."""
 RUT, GUTTER, WIDE_M = 1.1, 1.9, 0.2
 """Depth of ruts and gutters in deviations of the field, and their half width: estimates."""
+
+
+RINGS, RING_RAD_M = 0.01, 200.0
+"""Share of a drop's energy that its rings have, and their wave number [rad/m]."""
+DENSITY, SURFACE_TENSION, VISCOSITY = 1000.0, 0.0728, 1.0e-6
+"""Of water at 20 degrees: [kg/m3], [N/m], kinematic [m2/s]."""
 
 
 def film_depth_mm(rate_mm_h: float, length_m: float, slope: float, texture_mm: float) -> float:
@@ -65,6 +74,21 @@ def depth_of(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> fl
     return film_depth_mm(rate_mm_h, length, fall, TEXTURE_MM[asphalt.kind])
 
 
+def ripples(rate_mm_h: float) -> float:
+    """Mean square slope of standing water in rain [1].
+
+    Of what falling drops bring, one part in a hundred becomes rings of 0.2 rad/mm, which water's viscosity damps.
+
+    Source: ring waves of single drops, IEEE J. Oceanic Eng. 24, 323 (1999); energy and decay of capillary and gravity
+    waves, Lamb, Hydrodynamics, sections 267 and 348.
+    """
+    rain = SizeClasses.of_rain(rain_sizes(rate_mm_h))
+    middle, speed = (0.5 * (ends[1:] + ends[:-1]) for ends in (rain.edges_m, rain.speed_m_s))
+    watts_m2 = float(rain.per_m3 @ (math.pi / 12.0 * DENSITY * middle**3 * speed**3))
+    stiffness = DENSITY * 9.81 + SURFACE_TENSION * RING_RAD_M**2
+    return RINGS * watts_m2 / (4.0 * VISCOSITY * stiffness)
+
+
 def film_m(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> float:
     """Depth of the water over the bottom of a road's texture [m]; 0 where it is dry."""
     return 1e-3 * max(depth_of(asphalt, rate_mm_h, road) + TEXTURE_MM[asphalt.kind], 0.0)
@@ -76,13 +100,13 @@ def rained_on(
     """What a road's materials are in rain, by name.
 
     Its pores are full, so that it is as dark as a wet road; the film is smooth where it covers the texture, and shines
-    as a coat.
+    as a coat.  Ripples make puddles rough, as microfacets of their slopes.
     """
     texture = TEXTURE_MM[asphalt.kind]
     covered = float(np.clip(1.0 + depth_of(asphalt, rate_mm_h, road) / texture, 0.0, 1.0))
     wet = looks(replace(asphalt, wet="wet"), materials, smooth=covered)
     return {
-        name: look
+        name: replace(look, roughness=round((look.roughness**4 + ripples(rate_mm_h)) ** 0.25, 3))
         if name == "puddle"
         else replace(look, clearcoat=round(COAT * covered, 3), clearcoat_roughness=COAT_ROUGHNESS)
         for name, look in wet.items()
