@@ -16,6 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from synfog_usd.base import files, system
 from synfog_usd.base.errors import OutputError, StageError
 from synfog_usd.base.progress import Progress, named, silent, within
@@ -188,12 +190,19 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
         StageError: the stage has no rate.
     """
     from synfog_usd import stage as usd
+    from synfog_usd.translate import own_camera
 
     rate, warnings = float(stage.GetTimeCodesPerSecond()), []
     if not 0.0 < rate < math.inf:
         raise StageError(
             f"{plan.stage}: timeCodesPerSecond is {rate:g}, so that its frames have no time; give it a number above 0, "
             f"or bake one --frame"
+        )
+    path = plan.camera or own_camera(stage)
+    for code in usd.cuts(stage.GetPrimAtPath(path), np.asarray(codes)) if path else ():
+        warnings.append(
+            f"{path} cuts at the time code {code:g}: the clip, its flow and its exposure go on over it; bake the "
+            f"frames before and after it by themselves"
         )
     if len(codes) > 1 and _stands_still(stage, plan, codes):
         warnings.append(

@@ -19,7 +19,7 @@ from synfog_usd.stage.open import (
     variant_choices,
     variants,
 )
-from synfog_usd.stage.over_time import over_time
+from synfog_usd.stage.over_time import cuts, over_time
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.still import stands_still
@@ -35,6 +35,7 @@ __all__ = [
     "cameras",
     "check",
     "composition_notes",
+    "cuts",
     "dependencies",
     "named_cameras",
     "offered",

@@ -36,6 +36,8 @@ JUMP_M, HARDEST = 0.5, 30.0
 """A step jumps that differs from the one before by more than JUMP_M, and than HARDEST [m/s2] explains."""
 FASTEST = 120.0
 """[m/s]; what is faster jumps."""
+TURN_DEG, TURNS = 30.0, 1000.0
+"""A camera cuts where it turns by more within a frame, and by more than TURNS [deg/s2] explains."""
 CARRIED_M = 0.1
 """Who rides keeps their place in the vehicle within this."""
 
@@ -69,7 +71,7 @@ class User:
 
 @plain_errors
 def over_time(stage: Usd.Stage) -> list[Finding]:
-    """All findings on road users over a stage's frames, as its variants stand; none where it has one frame.
+    """All findings on road users and cameras over a stage's frames, as its variants stand; none where it has one frame.
 
     Raises:
         StageError: the stage is damaged.
@@ -80,11 +82,12 @@ def over_time(stage: Usd.Stage) -> list[Finding]:
         return []
     every = math.ceil((last - first + 1.0) / MOST_FRAMES)
     codes = np.arange(first, last + 1e-6, every)
+    result = list(_cuts(stage, codes))
     users = list(_users(stage, codes))
     if not any(user.moves for user in users):
-        return []
+        return result
     lanes, ground = _lanes(stage), _Ground.below(stage, users, first)
-    result = list(_overlaps(users, codes))
+    result += _overlaps(users, codes)
     for user in users:
         result += [*_jumps(user, codes, every / rate), *ground.floats(user, codes), *_off_lane(user, lanes, codes)]
     return result
@@ -223,17 +226,57 @@ def _rides(a: User, b: User) -> bool:
 
 
 def _jumps(user: User, codes: Array, step_s: float) -> Iterator[Finding]:
-    """A step that differs from the one before by more than any driver brakes or turns."""
-    way = np.diff(user.foot, axis=0)
-    both = user.shown[1:] & user.shown[:-1]
-    change = np.r_[0.0, np.linalg.norm(np.diff(way, axis=0), axis=1) * (both[1:] & both[:-1])]
-    length = np.linalg.norm(way, axis=1) * both
-    bad = (change > max(JUMP_M, HARDEST * step_s**2)) | (length > max(JUMP_M, FASTEST * step_s))
+    bad, length = _leaps(user.foot, user.shown[1:] & user.shown[:-1], step_s)
     if bad.any():
         k = int(np.argmax(bad))
         k -= bool(k == 1 and length[0] > length[1])  # nothing is before the first step
         text = f"frame {codes[k + 1]:g}: jumps {length[k]:.2g} m within a frame; smooth its time samples"
         yield finding("jumps", user.path, text)
+
+
+def _leaps(places: Array, both: Flags, step_s: float) -> tuple[Flags, Array]:
+    """Steps that differ from the one before by more than any driver brakes or turns, and the lengths of all [m].
+
+    Args:
+        places: (F, 3) [m]; both: (F - 1,) whether a step counts.
+    """
+    way = np.diff(places, axis=0)
+    change = np.r_[0.0, np.linalg.norm(np.diff(way, axis=0), axis=1) * (both[1:] & both[:-1])]
+    length = np.linalg.norm(way, axis=1) * both
+    return (change > max(JUMP_M, HARDEST * step_s**2)) | (length > max(JUMP_M, FASTEST * step_s)), length
+
+
+# -- cameras
+
+
+def cuts(camera: Usd.Prim, codes: Array) -> list[float]:
+    """Time codes at which a camera looks from elsewhere, or elsewhere, than any that is carried could.
+
+    Args:
+        camera: of a stage with a rate.
+        codes: (F,) of the frames, at even steps.
+    """
+    if len(codes) < 2:
+        return []
+    stage = camera.GetStage()
+    step_s = abs(codes[1] - codes[0]) / stage.GetTimeCodesPerSecond()
+    matrices = _matrices(camera, codes) @ _to_metres(stage)
+    bad, length = _leaps(matrices[:, 3, :3], np.ones(len(codes) - 1, dtype=bool), step_s)
+    bad &= length >= np.r_[0.0, length[:-1]]  # one that stops dead does not cut
+    ahead = matrices[:, 2, :3] / np.maximum(np.linalg.norm(matrices[:, 2, :3], axis=1, keepdims=True), 1e-9)
+    turn = np.degrees(np.arccos(np.clip((ahead[1:] * ahead[:-1]).sum(axis=1), -1.0, 1.0)))
+    bad |= turn > max(TURN_DEG, TURNS * step_s**2)
+    return [float(code) for code in codes[1:][bad]]
+
+
+def _cuts(stage: Usd.Stage, codes: Array) -> Iterator[Finding]:
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdGeom.Camera) and (found := cuts(prim, codes)):
+            text = (
+                f"cuts at frame {', '.join(f'{code:g}' for code in found[:8])}{' ...' * (len(found) > 8)}; a clip and "
+            )
+            text += "its flow go on over cuts, so bake the frames before and after one by themselves"
+            yield finding("cuts", str(prim.GetPath()), text)
 
 
 # -- against the road

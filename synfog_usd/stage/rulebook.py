@@ -192,6 +192,14 @@ RULES: Mapping[str, Rule] = MappingProxyType(
                 "move its keys into the lane",
             ),
             _rule(
+                "cuts",
+                "info",
+                "A camera that is elsewhere, or looks elsewhere, from one frame to the next.",
+                "bake the frames before and after the cut by themselves; or key a camera for each view",
+                "a Camera LOP for each view",
+                "a camera for each view",
+            ),
+            _rule(
                 "unlabelled", "info", "Shapes without a label; they are 'unlabeled' in the ground truth.", *_LABEL_MEND
             ),
             _rule(

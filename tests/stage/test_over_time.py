@@ -134,6 +134,17 @@ def test_who_is_hidden_may_be_anywhere(street):
     assert street.found() == []
 
 
+def test_a_camera_that_cuts_is_told_at_its_frames(street):
+    """It drives at 10 m/s, is 300 m away at frame 8, and turns round at frame 14; stopping dead at 17 is no cut."""
+    eye = UsdGeom.Camera.Define(street.stage, "/Eye")
+    move, turn = eye.AddTranslateOp(), eye.AddRotateXYZOp()
+    for frame in range(20):
+        move.Set(street.at(0.0, min(frame, 17.0) + (300.0 if frame >= 8 else 0.0), 1.5), float(frame))
+        turn.Set((0.0, 180.0 if frame >= 14 else 0.0, 0.0), float(frame))
+    (one,) = over_time(street.stage)
+    assert (one.rule, one.path) == ("cuts", "/Eye") and "at frame 8, 14;" in one.text
+
+
 @pytest.mark.parametrize("recipe", ["crossroads", "motorway"])
 def test_the_command_tells_of_a_car_that_was_moved(tmp_path, recipe):
     """A composed clip has none of these findings; with one car lifted by a metre the command names it and frame 0."""
