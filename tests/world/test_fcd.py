@@ -197,3 +197,32 @@ def test_a_broken_file_is_one_line(tmp_path, text, line):
     with pytest.raises(RecipeError, match=line) as error:
         fcd.read(Path(tmp_path / "t.xml"))
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_on_a_slope_a_car_and_a_person_stand_on_the_road(tmp_path, told):
+    """Where a road rises by 4.7 %: without z both are on the ground, and with the ground's z where they are without.
+
+    The car's axis rises as the road does between its bumper and 4 m behind it.
+    """
+    road = compose.draw(compose.load(Path("rural")), seed=2).road
+    line, text = road.reference_line, "<fcd-export>"
+    for time, s in ((0, 350.0), (1, 351.0)):
+        rows = []
+        for tag, t in (("vehicle", 1.7), ("person", 0.9)):
+            x, y = (float(v) for v in line.place(s, t))
+            z = f' z="{float(road.ground(s, t))}"' if told else ""
+            rows.append(f'<{tag} id="{tag}" x="{x}" y="{y}"{z} angle="{-math.degrees(float(line.heading(s)))}"/>')
+        text += f'<timestep time="{time}">{"".join(rows)}</timestep>'
+    (tmp_path / "t.xml").write_text(text + "</fcd-export>")
+    compose.compose("rural", tmp_path / "a.usda", seed=2, traffic=tmp_path / "t.xml", fcd=tmp_path / "o.xml")
+    (car,), (person,) = (
+        [one for one in ElementTree.parse(tmp_path / "o.xml").getroot()[0].iter(tag) if one.get("id") != "ego"]
+        for tag in ("vehicle", "person")
+    )
+    slope = (float(road.ground(350.0, 1.7)) - float(road.ground(346.0, 1.7))) / 4.0
+    assert slope > 0.045
+    assert float(car.get("z")) == pytest.approx(float(road.ground(350.0, 1.7)), abs=5e-3)
+    assert math.tan(math.radians(float(car.get("slope")))) == pytest.approx(slope, abs=2e-3)
+    assert float(person.get("z")) == pytest.approx(float(road.ground(350.0, 0.9)), abs=2e-3)
+    assert float(person.get("slope")) == 0.0
