@@ -19,7 +19,7 @@ from synfog_usd.world.traffic.follow import LOOK_S, STEP_S, Street, Vehicle, dri
 from synfog_usd.world.traffic.motion import ground
 from synfog_usd.world.traffic.paths import Path as Line
 from synfog_usd.world.traffic.paths import Route, StopLine, rounded
-from synfog_usd.world.traffic.walk import SPEED_M_S
+from synfog_usd.world.traffic.walk import SPEED_M_S, Way
 from synfog_usd.world.traffic.wheels import wheels_of
 
 G = 9.81
@@ -260,3 +260,15 @@ def test_layers_of_a_clip_have_one_clock(tmp_path):
     compose.compose("crossroads", tmp_path / "street.usda", seed=1, seconds=0.5, fps=20.0)
     for file in tmp_path.glob("*.usda"):
         assert Sdf.Layer.FindOrOpen(str(file)).timeCodesPerSecond == 20.0, file
+
+
+@pytest.mark.parametrize("shift", [-1.0, 0.0, 1.0])
+def test_people_walk_at_their_speed_round_a_bend(shift):
+    """On a ring of 6 m radius, 1 m inside and outside of its middle: the way between positions is 1.4 m/s each step."""
+    angle = np.linspace(0.0, 1.5 * np.pi, 500)
+    path = Line(6.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1), 3.0)
+    times = np.arange(0.0, 12.0, 0.5)
+    way = Way(path, 1.0, 0.0, 0.0, -1.5, 1.5)
+    x, y, _ = way.position(way.travel(1.4, times, shift), shift).T
+    gone = np.hypot(np.diff(x), np.diff(y))[4:]  # once aside
+    np.testing.assert_allclose(gone, 0.7, rtol=3e-3)

@@ -107,13 +107,22 @@ class Way:
     most: float
     kerbs: Sequence[tuple[float, Sequence[tuple[float, float]]]] = ()
 
-    def travel(self, speed: float, times: Array) -> Array:
+    def walked(self, shift: float) -> Array:
+        """(N,) way [m] from the walker to the path's points, gone over to a side by `shift` [m]: round the outside of a
+        bend it is longer.
+        """
+        factor = np.maximum(1.0 + (self.aside + shift) * self.path.curvature, 0.2)
+        way = np.r_[0.0, np.cumsum(np.diff(self.path.s) * (factor[1:] + factor[:-1]) / 2.0)]
+        return np.asarray(way - np.interp(self.s, self.path.s, way))
+
+    def travel(self, speed: float, times: Array, shift: float = 0.0) -> Array:
         """(K,) how far one is at times [s] at a speed [m/s] who waits at kerbs until the way is open."""
-        t, gone = [0.0], [0.0]
+        t, gone, walked = [0.0], [0.0], self.walked(shift)
         for kerb, opens in self.kerbs:
-            arrives = t[-1] + (kerb - self.s - gone[-1]) / speed
+            way = float(np.interp(kerb, self.path.s, walked))
+            arrives = t[-1] + (way - gone[-1]) / speed
             t.append(arrives)
-            gone.append(kerb - self.s)
+            gone.append(way)
             begins = next((begin for begin, end in opens if arrives < end), math.inf)
             if begins > arrives:
                 t.append(min(begins, float(times[-1]) + arrives + 1.0))
@@ -123,14 +132,14 @@ class Way:
         else:
             t.append(t[-1] + float(times[-1]) + 1.0)
             gone.append(gone[-1] + speed * (t[-1] - t[-2]))
-        limit = max(self.path.length - self.s - 0.5, 0.0)
+        limit = max(float(walked[-1]) - 0.5, 0.0)
         return np.minimum(np.interp(times, t, gone), limit)
 
     def position(self, travel: Array, shift: float) -> Array:
         """(K, 3) x, y [m] and heading [rad] after so much of the way [m], gone over to a side by `shift` [m]."""
         u = np.clip(travel / ASIDE_OVER_M, 0.0, 1.0)
         offset = self.aside + shift * u * u * (3.0 - 2.0 * u)
-        x, y, h = self.path.at(self.s + travel, offset)
+        x, y, h = self.path.at(np.interp(travel, self.walked(shift), self.path.s), offset)
         lean = np.arctan2(shift * 6.0 * u * (1.0 - u) / ASIDE_OVER_M, 1.0)
         return np.stack([x, y, h - lean + self.turn * np.exp(-travel / 1.5)], axis=-1)
 
@@ -199,10 +208,10 @@ def _chosen(walker: Walker, way: Way, times: Array, stands: shapely.STRtree, cro
     """(K, 4) the first of the ways to go that is free all the time; else as far as the straight one is."""
     farthest = 0
     for slower in SLOWER:
-        travel = way.travel(walker.speed * slower, times)
         for shift in SIDES_M:
             if shift and not way.least <= way.aside + shift <= way.most:
                 continue
+            travel = way.travel(walker.speed * slower, times, shift)
             free = _free_until(way.position(travel, shift), walker, stands, crowd)
             if free == len(times):
                 return np.c_[way.position(travel, shift), travel]
