@@ -105,6 +105,11 @@ def test_smoke_and_dust_scatter_as_opac_has_them(kind, albedo, g):
     assert (medium.albedo, medium.g) == pytest.approx((albedo, g), rel=0.02)
 
 
+def test_fog_scatters_as_opacs_does():
+    """The mean cosine that fog has by itself: component FOGR at 550 nm, within 2 %."""
+    assert kinds.medium_of("fog", mor_m=100.0).g == pytest.approx(0.866, rel=0.02)
+
+
 @needs_mie
 @pytest.mark.parametrize("kind", media.SPHERES)
 @pytest.mark.parametrize("nm", [400, 550, 1000])
