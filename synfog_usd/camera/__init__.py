@@ -5,24 +5,3 @@ from synfog_usd.camera.exposure import Exposure, adapted, exposed, meter, noise_
 from synfog_usd.camera.focus import DEPTHS
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, load_lens, load_sensor
 from synfog_usd.camera.registry import OPS
-
-__all__ = [
-    "DEPTHS",
-    "OPS",
-    "Exposure",
-    "LensProfile",
-    "SensorProfile",
-    "adapted",
-    "develop",
-    "exposed",
-    "exposure_left_open",
-    "field_of_view",
-    "lens_fov_deg",
-    "load_graph",
-    "load_lens",
-    "load_sensor",
-    "meter",
-    "metered",
-    "noise_floor",
-    "sensitivity",
-]

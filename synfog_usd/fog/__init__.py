@@ -3,5 +3,3 @@
 from synfog_usd.fog.choice import Fog
 from synfog_usd.fog.medium import FogMedium, extinction_from_visibility
 from synfog_usd.fog.volume import Boundary, FogVolume
-
-__all__ = ["Boundary", "Fog", "FogMedium", "FogVolume", "extinction_from_visibility"]

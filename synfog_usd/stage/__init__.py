@@ -26,28 +26,3 @@ from synfog_usd.stage.still import stands_still
 from synfog_usd.stage.validate import check
 
 register()
-
-__all__ = [
-    "MISSING",
-    "Finding",
-    "Stage",
-    "authored_path",
-    "cameras",
-    "check",
-    "composition_notes",
-    "cuts",
-    "dependencies",
-    "named_cameras",
-    "offered",
-    "open_stage",
-    "over_time",
-    "override",
-    "register",
-    "reread",
-    "select",
-    "selected",
-    "stage_hash",
-    "stands_still",
-    "variant_choices",
-    "variants",
-]

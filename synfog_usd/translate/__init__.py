@@ -5,5 +5,3 @@ from synfog_usd.translate.camera import own_camera
 from synfog_usd.translate.dark import why_black
 from synfog_usd.translate.daylight import outdoors
 from synfog_usd.translate.exchange import Exchange
-
-__all__ = ["Exchange", "StageView", "outdoors", "own_camera", "own_frame", "translate", "why_black"]

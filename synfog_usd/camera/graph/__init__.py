@@ -3,20 +3,3 @@
 from synfog_usd.camera.graph.engine import Bound, GraphRun, Node, NodeGraph
 from synfog_usd.camera.graph.load import load_graph, make_graph
 from synfog_usd.camera.graph.op import Auto, FromProfile, Op, Parameter, Port, Profile, Range, Registry
-
-__all__ = [
-    "Auto",
-    "Bound",
-    "FromProfile",
-    "GraphRun",
-    "Node",
-    "NodeGraph",
-    "Op",
-    "Parameter",
-    "Port",
-    "Profile",
-    "Range",
-    "Registry",
-    "load_graph",
-    "make_graph",
-]

@@ -68,19 +68,3 @@ def read(path: Path, *, declared: Quantity | None = None, repair: bool = False) 
     if path.suffix.lower() == ".exr":
         return read_exr(path, declared=declared, repair=repair)
     return read_raw(path)
-
-
-__all__ = [
-    "WRITERS",
-    "channels_of",
-    "check_radiance",
-    "read",
-    "read_exr",
-    "read_raw",
-    "write_dng",
-    "write_exr",
-    "write_jpeg",
-    "write_mipi",
-    "write_output",
-    "write_png",
-]
