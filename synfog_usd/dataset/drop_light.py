@@ -34,7 +34,7 @@ SHADE_AT = 12, 8, 10
 """Columns, rows and distances of the places at which lamps are asked for."""
 
 NEIGHBOURS, SIDEWAYS = 4, 8.0
-"""Of these that count for a place between them, and what a radian counts beside a factor e of distance."""
+"""How many of these count for a place between them, and what a radian counts beside a factor e of distance."""
 
 BATCH = 1 << 18
 
@@ -140,8 +140,8 @@ class Shade:
         eye = camera.to_world[:3, 3]
         ways, far = np.repeat(ways, len(far), axis=0), np.tile(far, len(ways))
         places = eye + ways * far[:, None]
-        seen = (far < NEAR_M * 4.0) | ~_meet(loaded, np.broadcast_to(eye, places.shape), places)
-        places, key = places[seen], cls._key(ways[seen], far[seen])
+        in_sight = (far < NEAR_M * 4.0) | ~_meet(loaded, np.broadcast_to(eye, places.shape), places)
+        places, key = places[in_sight], cls._key(ways[in_sight], far[in_sight])
         free = np.ones((len(lamps), len(places)), np.float32)
         for lamp, row in zip(lamps, free, strict=True):
             way = lamp.place - places

@@ -83,7 +83,7 @@ def read(folder: Path) -> Labelled | str:
     )
 
 
-def flow(frame: Labelled, other: Labelled) -> Array:
+def flow(frame: Labelled, neighbour: Labelled) -> Array:
     """(H, W, 6) `CHANNELS` from one frame to another: X and Y [px], `seen`, and the way [m] of what a pixel shows.
 
     The sky is infinitely far: it moves as the camera turns.
@@ -94,49 +94,49 @@ def flow(frame: Labelled, other: Labelled) -> Array:
     sky = ~np.isfinite(frame.depth_m)
     points = rays * np.where(sky, 1.0, frame.depth_m)[..., None]
     world = points @ frame.to_world[:3, :3].T + np.where(sky[..., None], 0.0, frame.to_world[:3, 3])
-    begun = world.copy()
-    twins = {row["path"]: number for number, row in other.rows.items()}
+    start = world.copy()
+    twins = {row["path"]: number for number, row in neighbour.rows.items()}
     twin = np.zeros(max([0, *frame.rows]) + 1, dtype=np.int64)
     for number in np.unique(frame.instance[frame.instance > 0]):
         twin[number] = twins.get(frame.rows[number]["path"], 0)
     whole = np.where(frame.part > 0, 0, frame.instance)
-    for ids, rows, others in ((whole, frame.rows, other.rows), (frame.part, frame.parts, other.parts)):
-        by_path = {row["path"]: row for row in others.values()}
+    for ids, rows, rows_there in ((whole, frame.rows, neighbour.rows), (frame.part, frame.parts, neighbour.parts)):
+        by_path = {row["path"]: row for row in rows_there.values()}
         for number in np.unique(ids[ids > 0]):
             way = _way(rows[number], by_path.get(rows[number]["path"]))
             if way is not None:
                 mine = ids == number
                 world[mine] = world[mine] @ way[:3, :3].T + way[:3, 3]
-    local = (world - np.where(sky[..., None], 0.0, other.to_world[:3, 3])) @ other.to_world[:3, :3]
+    local = (world - np.where(sky[..., None], 0.0, neighbour.to_world[:3, 3])) @ neighbour.to_world[:3, :3]
     ahead = local[..., 2] > 1e-6
-    position = local @ other.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
+    position = local @ neighbour.matrix.T / np.where(ahead, local[..., 2], 1.0)[..., None]
     moved = np.where(ahead[..., None], position[..., :2] - np.stack([u, v], axis=-1), 0.0)
     x, y = (np.where(ahead, position[..., axis], -9.0) for axis in (0, 1))
     inside = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     row, column = (np.clip(np.rint(a).astype(np.int64), 0, n - 1) for a, n in ((y, height), (x, width)))
-    shown = _shows(other, row, column, local[..., 2], np.where(sky, 0, twin[frame.instance]), sky)
-    seen = np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)
-    return np.concatenate([moved, seen[..., None], world - begun], axis=-1)
+    shown = _shows(neighbour, row, column, local[..., 2], np.where(sky, 0, twin[frame.instance]), sky)
+    visibility = np.where(inside, np.where(shown, SEEN, HIDDEN), OUTSIDE)
+    return np.concatenate([moved, visibility[..., None], world - start], axis=-1)
 
 
-def _shows(other: Labelled, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
+def _shows(frame: Labelled, row: Indices, column: Indices, depth: Array, number: Indices, sky: Array) -> Array:
     """Whether a frame shows points of an instance at a depth [m] where they fall, or in a pixel beside."""
-    far = np.where(np.isfinite(other.depth_m), other.depth_m, 1e9)
+    far = np.where(np.isfinite(frame.depth_m), frame.depth_m, 1e9)
     low, high = (filtered(far, size=3)[row, column] for filtered in (ndimage.minimum_filter, ndimage.maximum_filter))
     same = np.zeros(row.shape, dtype=bool)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             y = np.clip(row + dy, 0, far.shape[0] - 1)
             x = np.clip(column + dx, 0, far.shape[1] - 1)
-            same |= (other.instance[y, x] == number) & (sky == (far[y, x] >= 1e9))
+            same |= (frame.instance[y, x] == number) & (sky == (far[y, x] >= 1e9))
     return np.asarray(same & (sky | ((depth > low * (1 - NEAR)) & (depth < high * (1 + NEAR)))))
 
 
-def _way(row: Mapping[str, Any], other: Mapping[str, Any] | None) -> Array | None:
+def _way(row: Mapping[str, Any], row_there: Mapping[str, Any] | None) -> Array | None:
     """(4, 4) from an instance's place in one frame to that in another; None where it stands, or its pose is unknown."""
-    if other is None or "pose" not in row or "pose" not in other or row["pose"] == other["pose"]:
+    if row_there is None or "pose" not in row or "pose" not in row_there or row["pose"] == row_there["pose"]:
         return None
-    here, there = _matrix(row["pose"]), _matrix(other["pose"])
+    here, there = _matrix(row["pose"]), _matrix(row_there["pose"])
     if np.array_equal(here, there):
         return None
     return np.asarray(there @ np.linalg.inv(here))
@@ -199,9 +199,9 @@ def _rate(yaw: Array, number: int) -> float:
     return float(turned / max(high - low, 1))
 
 
-def _image(name: str, view: Labelled, other: Labelled) -> Image:
+def _image(name: str, view: Labelled, neighbour: Labelled) -> Image:
     channels = tuple(f"{name}.{channel}" for channel in CHANNELS)
-    return Image(flow(view, other).astype(np.float32), channels, Quantity.DATA, provenance={"comment": COMMENT})
+    return Image(flow(view, neighbour).astype(np.float32), channels, Quantity.DATA, provenance={"comment": COMMENT})
 
 
 def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], None]) -> None:
@@ -228,7 +228,9 @@ def write(out: Path, folders: Sequence[str], per_s: float, log: Callable[[str], 
                 return
         assert isinstance(view, Labelled)
         around = {"forward": following, "backward": before}
-        images = [_image(name, view, other) for name, other in around.items() if isinstance(other, Labelled)]
+        images = [
+            _image(name, view, neighbour) for name, neighbour in around.items() if isinstance(neighbour, Labelled)
+        ]
         if images:
             writers.write_exr(out / folder / FLOW, images)
         rows.append(view.rows)
