@@ -42,10 +42,10 @@ from synfog_usd.render.film.accumulator import (
     MULTIPLE,
     SINGLE,
     Accumulator,
-    add_samples,
-    allocation,
     new_accumulator,
 )
+from synfog_usd.render.film.allocation import allocation
+from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.sampling.sobol import RUN
 from synfog_usd.render.shot import load, render
 from synfog_usd.scene import Camera, Instance, SceneDict

@@ -26,9 +26,9 @@ from synfog_usd.render.film.accumulator import (
     Estimator,
     Integrator,
     Traces,
-    add_samples,
     new_accumulator,
 )
+from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.scene import Camera, SceneDict

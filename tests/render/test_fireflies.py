@@ -5,7 +5,7 @@ import pytest
 from support.parts import bulb, rgb, squares
 
 from synfog_usd.render import models
-from synfog_usd.render.film import accumulator, fireflies
+from synfog_usd.render.film import accumulator, fireflies, launches
 from synfog_usd.render.film.accumulator import HALVES, INSCATTERED_OF_LAMPS, LAMPS, MULTIPLE
 from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import scene, uniform_fog
@@ -71,7 +71,7 @@ def test_what_is_kept_apart_and_what_is_left_are_all_light_of_the_samples():
         accumulator.new_accumulator(integrator, len(pixels), denoised=denoised) for denoised in (True, False)
     )
     for picture in (apart, whole):
-        accumulator.add_samples(picture, integrator, pixels, {LAMPS: 8, INSCATTERED_OF_LAMPS: 8}, 5)
+        launches.add_samples(picture, integrator, pixels, {LAMPS: 8, INSCATTERED_OF_LAMPS: 8}, 5)
     sums = apart.estimators[INSCATTERED_OF_LAMPS]
     assert sum(light.sum() for light in sums.fireflies.values()) > 0.0
     np.testing.assert_allclose(apart.aov(MULTIPLE), whole.aov(MULTIPLE), rtol=1e-4, atol=1e-6)

@@ -14,9 +14,9 @@ from synfog_usd.render.film.accumulator import (
     SINGLE,
     SURFACE,
     Squares,
-    add_samples,
     new_accumulator,
 )
+from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import scene, sky, uniform_fog
 

@@ -10,7 +10,8 @@ from support.parts import bulb, rgb, squares
 from support.stats import assert_agree, assert_mean
 
 from synfog_usd.render import models
-from synfog_usd.render.film.accumulator import LIT, SURFACE, SURFACE_OF_LAMPS, add_samples, new_accumulator
+from synfog_usd.render.film.accumulator import LIT, SURFACE, SURFACE_OF_LAMPS, new_accumulator
+from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import black, scene, sky, uniform_fog, wall
 

@@ -6,7 +6,8 @@ from support.stats import assert_mean
 
 from synfog_usd.fog import FogMedium, FogVolume
 from synfog_usd.render import backend, models
-from synfog_usd.render.film.accumulator import LAMPS, add_samples, new_accumulator
+from synfog_usd.render.film.accumulator import LAMPS, new_accumulator
+from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.lights import photometric
 from synfog_usd.render.lights.sampler import LightSampler
 from synfog_usd.render.shot import load

@@ -50,8 +50,8 @@ from synfog_usd.render.film.accumulator import (
     SURFACE_OF_LAMPS,
     Accumulator,
     Moments,
-    accumulate_by_estimator,
 )
+from synfog_usd.render.film.allocation import accumulate_by_estimator
 from synfog_usd.render.integrators import lamps
 from synfog_usd.render.integrators.eye import Eye
 from synfog_usd.render.integrators.light_groups import LightGroups

@@ -19,12 +19,10 @@ from synfog_usd.render.film.accumulator import (
     Accumulator,
     Integrator,
     Traces,
-    accumulate_by_estimator,
-    add_samples,
-    allocation,
     new_accumulator,
-    rounds,
 )
+from synfog_usd.render.film.allocation import accumulate_by_estimator, allocation, rounds
+from synfog_usd.render.film.launches import add_samples
 
 DENOISER_GAIN = 20.0
 """Raw noise over the target from which on denoising is not even tried; of 2 samples it leaves a 17th."""
