@@ -81,12 +81,6 @@ MOTTLE_WIDTHS, LEAST_MOTTLE_PX = 40, 4
 """Width of a picture over the standard deviation of the blur under which its error counts as mottle, and the least such
 standard deviation [px]."""
 
-LEFT_BY_DENOISING = 0.85
-"""Mottle of a denoised picture over `mottle_of_noise` of its samples: 0.64 to 1.03 on five streets from 8 samples on.
-
-With 2 samples of a pixel it is up to twice as large, and the estimate of mottle is too low.
-"""
-
 
 @dataclass(frozen=True)
 class Error:
@@ -270,26 +264,27 @@ def mottle(halves: Array, level: Array | None = None) -> float:
     return _relative(np.square(0.5 * (a - b)), level)
 
 
-def mottle_of_noise(luminance: Array, variance: Array) -> float:
-    """What `mottle` of the samples is expected to be, by the variance of each pixel's mean.
+def mottle_of_noise(luminance: Array, variance: Array, wide: Array | float = 0.0) -> float:
+    """What `mottle` of the samples is expected to be, by the variance of each pixel's mean.  Denoising leaves it: noise
+    as wide as this looks like light.
 
-    Two halves are compared once and scatter by a seventh to a third; this scatters by a twentieth, but counts samples
-    as independent that are stratified.
+    Two halves are compared once and scatter by a seventh to a third; this scatters by a twentieth.
 
     Args:
-        luminance, variance: (H, W), before denoising.
+        luminance, variance: (H, W), before denoising; each pixel has noise of its own.
+        wide: (H, W) noise that is as coarse as mottle, such as half of what two halves differ in.
     """
     cap = np.percentile(luminance, 99.0)
-    noise = np.where(luminance > cap, 0.0, variance).astype(np.float32)
+    noise, wide = (np.where(luminance > cap, 0.0, values).astype(np.float32) for values in (variance, wide))
     sigma = _mottle_px(luminance.shape[1])
     # The square of a Gaussian is one of 1 / sqrt(2) the width, over 4 pi sigma^2.
-    squares = _coarse(noise, math.sqrt(0.5)) / np.float32(4.0 * np.pi * sigma**2)
+    squares = _coarse(noise, math.sqrt(0.5)) / np.float32(4.0 * np.pi * sigma**2) + np.square(_coarse(wide))
     return _relative(squares, _coarse(np.minimum(luminance, cap).astype(np.float32)))
 
 
 def joined_mottle(halves: float, noise: float) -> float:
     """Mottle of a denoised picture by its halves and by `mottle_of_noise`, which counts twice since it is steadier."""
-    return math.sqrt((halves**2 + 2.0 * (LEFT_BY_DENOISING * noise) ** 2) / 3.0)
+    return math.sqrt((halves**2 + 2.0 * noise**2) / 3.0)
 
 
 def _relative(squares: Array, level: Array) -> float:

@@ -291,8 +291,7 @@ def _with_mottle(denoised: denoising.Denoised, accumulated: Accumulator) -> deno
     """A picture whose mottle is judged by the noise of its samples as well as by its halves."""
     if denoised.error is None:
         return denoised
-    luminance, variance = accumulated.luminance(), accumulated.coarse_variance()
-    noise = dualbuffer.mottle_of_noise(*(values.reshape(accumulated.shape) for values in (luminance, variance)))
+    noise = dualbuffer.mottle_of_noise(accumulated.luminance().reshape(accumulated.shape), *accumulated.noise())
     mottle = dualbuffer.joined_mottle(denoised.error.mottle, noise)
     return replace(denoised, error=replace(denoised.error, mottle=mottle))
 

@@ -75,7 +75,7 @@ def test_light_by_squares_is_the_light_by_pixels():
 
 @pytest.mark.usefixtures("mi")
 def test_variance_that_squares_share_is_told_as_that_of_sums():
-    """The variance of the picture's sum over 24 seeds is what `coarse_variance` tells, within the 60 % that so many
+    """The variance of the picture's sum over 24 seeds is what `noise` tells, within the 60 % that so many
     resolve; a square counted as independent pixels would tell a
     quarter.  Surfaces have enough samples to be quiet.
     """
@@ -87,7 +87,7 @@ def test_variance_that_squares_share_is_told_as_that_of_sums():
         picture = new_accumulator(integrator, len(pixels), denoised=True, opacity=seen)
         add_samples(picture, integrator, pixels, {SURFACE: 256, INSCATTERED: 4}, seed)
         sums.append(picture.luminance().sum())
-        told.append(picture.coarse_variance().sum())
+        told.append(picture.noise()[0].sum())
     assert np.mean(told) / np.var(sums, ddof=1) == pytest.approx(1.0, abs=0.6)
 
 

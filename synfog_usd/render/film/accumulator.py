@@ -279,11 +279,16 @@ class Accumulator:
         """(P,) of all light [cd m-2], 0 at least."""
         return np.maximum(self.mean() @ self.weights, 0.0)
 
-    def coarse_variance(self) -> Pixels:
-        """(P,) the same of pixels that would give sums the variance that they have if each had noise of its own."""
-        parts = self.estimators.values()
-        variance = total(part.variance() * (1 if part.opacity is None else SHARE_PX**2) for part in parts)
-        return np.asarray(variance @ self.weights * self.weights.sum())
+    def noise(self) -> tuple[FloatArray, FloatArray]:
+        """By what both halves differ in: the variance of the mean luminance, (H, W), as if each pixel had noise of its
+        own, and the standard deviation that fireflies have where they are spread out, (H, W), with its sign.
+        """
+        variance, wide = np.zeros((2, self.pixels), dtype=np.float32)
+        for name, part in self.estimators.items():
+            kept, spread = (np.subtract(*halves) / HALVES for halves in self._luminance_of(name))
+            variance += kept**2 * (1 if part.opacity is None else SHARE_PX**2)
+            wide += spread
+        return variance.reshape(self.shape), wide.reshape(self.shape)
 
     def luminance_variance(self) -> Pixels:
         """(P,) variance of its mean, as if the channels rose and fell together, as those of one path do."""
@@ -308,26 +313,28 @@ class Accumulator:
                 if component == (LIT if name == LIT else aov):
                     number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
                     light = np.asarray(sums / number, dtype=np.float32)
-                    halves += self._without_fireflies(name, light) if name in ON_SURFACES else light
+                    kept = self._kept(name, light) if name in ON_SURFACES else light
+                    halves += kept
                     if aov in estimator.fireflies:
                         halves += self._spread_out(name, estimator.fireflies[aov] / number)
+                    elif kept is not light:
+                        halves += self._spread_out(name, light - kept)
         return halves.reshape(HALVES, *self.shape, -1)
 
-    def _without_fireflies(self, name: str, light: FloatArray) -> FloatArray:
-        """(2, P, C) light of an estimator of surfaces, of which one half alone has what is spread out."""
-        paths = int(self.estimators[name].counts[:, 0].sum())
-        kept = fireflies.confirmed(light.reshape(HALVES, *self.shape, -1), self.weights, paths).reshape(light.shape)
-        weights = np.asarray(self.weights, dtype=np.float32)
-        wide = [
-            fireflies.spread_out(half, more @ weights, self.shape)
-            for half, more in zip(light - kept, kept, strict=True)
-        ]
-        return kept + np.stack(wide)
+    def _kept(self, name: str, light: FloatArray) -> FloatArray:
+        """What is no firefly of light of surfaces (2, P, C), or of its luminance (2, P, 1)."""
+        paths, channels = int(self.estimators[name].counts[:, 0].sum()), light.shape[-1]
+        weights = np.asarray(self.weights if channels > 1 else [1.0], dtype=np.float32)
+        return fireflies.confirmed(light.reshape(HALVES, *self.shape, channels), weights, paths).reshape(light.shape)
 
     def _spread_out(self, name: str, light: Pixels) -> FloatArray:
-        """(2, P, C) fireflies of an estimator, in the shape of all light of its lamps that the fog scatters."""
+        """(2, P, C) fireflies of an estimator: in fog in the shape of all light of its lamps that is scattered there,
+        on surfaces in that of its other light.
+        """
         like = self._smooth(name)
-        if LAMPS in self.estimators:
+        if name in ON_SURFACES:
+            like = self._kept(name, like[..., None])[..., 0]
+        elif LAMPS in self.estimators:
             like += self._smooth(LAMPS)
         return np.stack([fireflies.spread_out(*half, self.shape) for half in zip(light, like, strict=True)])
 
@@ -340,14 +347,22 @@ class Accumulator:
     def luminance_halves(self, *names: str) -> FloatArray:
         """(2, H, W) luminance of some estimators' light in each half; of all where none is named."""
         halves = np.zeros((HALVES, self.pixels), dtype=np.float32)
-        weights = np.asarray(self.weights, dtype=np.float32)
         for name in names or self.estimators:
-            halves += self._smooth(name)
-            estimator = self.estimators[name]
-            if estimator.fireflies:
-                number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
-                halves += self._spread_out(name, total(estimator.fireflies.values()) / number) @ weights
+            for part in self._luminance_of(name):
+                halves += part
         return halves.reshape(HALVES, *self.shape)
+
+    def _luminance_of(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """(2, P) luminance of an estimator in each half without its fireflies, and that of these, spread out."""
+        estimator, light = self.estimators[name], self._smooth(name)
+        if name in ON_SURFACES:
+            kept = self._kept(name, light[..., None])
+            return kept[..., 0], self._spread_out(name, light[..., None] - kept)[..., 0]
+        if not estimator.fireflies:
+            return light, np.zeros_like(light)
+        number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
+        wide = self._spread_out(name, total(estimator.fireflies.values()) / number)
+        return light, wide @ np.asarray(self.weights, dtype=np.float32)
 
     @property
     def component_names(self) -> tuple[str, ...]:

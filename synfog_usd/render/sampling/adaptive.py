@@ -13,7 +13,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import FloatArray, Pixels
 from synfog_usd.base.progress import Progress, silent, within
-from synfog_usd.render.dualbuffer import LEFT_BY_DENOISING, Error, mottle_of_noise
+from synfog_usd.render.dualbuffer import Error, mottle_of_noise
 from synfog_usd.render.film.accumulator import (
     CHUNK,
     Accumulator,
@@ -208,10 +208,8 @@ def _times_before_denoising(accumulated: Accumulator, target: Target) -> float:
     noise = np.median(np.sqrt(accumulated.luminance_variance()) / target.allowed(accumulated.luminance()))
     needed = float(noise / DENOISER_GAIN) ** 2
     if target.mottle is not None:
-        luminance, variance = (
-            values.reshape(accumulated.shape) for values in (accumulated.luminance(), accumulated.coarse_variance())
-        )
-        needed = max(needed, (LEFT_BY_DENOISING * mottle_of_noise(luminance, variance) / target.mottle) ** 2)
+        coarse = mottle_of_noise(accumulated.luminance().reshape(accumulated.shape), *accumulated.noise())
+        needed = max(needed, (coarse / target.mottle) ** 2)
     return needed
 
 
