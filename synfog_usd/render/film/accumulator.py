@@ -280,8 +280,8 @@ class Accumulator:
         return np.maximum(self.mean() @ self.weights, 0.0)
 
     def noise(self) -> tuple[FloatArray, FloatArray]:
-        """By what both halves differ in: the variance of the mean luminance, (H, W), as if each pixel had noise of its
-        own, and the standard deviation that fireflies have where they are spread out, (H, W), with its sign.
+        """What both halves differ in.  First the variance of the mean luminance, (H, W), as if each pixel had noise of
+        its own; then half of the difference of fireflies, spread out, (H, W).
         """
         variance, wide = np.zeros((2, self.pixels), dtype=np.float32)
         for name, part in self.estimators.items():
