@@ -112,7 +112,7 @@ def clouds(placed: Sequence[Placement], view: View, fog: Fog) -> list[Cloud]:
     result: list[Cloud] = []
     if fog.kind != "rain" or fog.also:
         return result
-    taken = [around(np.array([view.x]), np.array([view.y]))]
+    areas = [around(np.array([view.x]), np.array([view.y]))]
     moving = [
         number
         for number, p in enumerate(placed)
@@ -123,8 +123,8 @@ def clouds(placed: Sequence[Placement], view: View, fog: Fog) -> list[Cloud]:
         reach = float(np.clip(FALL_S * (p.speed_m_s or 0.0), SHORTEST_M, LONGEST_M))
         for cloud in (_behind(number, p, share * reach) for share in (1.0, 0.5)):
             here = corners(np.array([p.x]), np.array([p.y]), np.array([p.heading]), cloud.behind_m, cloud.half_m)
-            if not any(meet(here, other).any() for other in taken):
-                taken.append(here)
+            if not any(meet(here, area).any() for area in areas):
+                areas.append(here)
                 result.append(cloud)
                 break
         if len(result) == MOST:
@@ -163,10 +163,10 @@ def corners(x: Array, y: Array, heading: Array, behind_m: float, half_m: Sequenc
     )
 
 
-def meet(one: Array, other: Array) -> Flags:
+def meet(left: Array, right: Array) -> Flags:
     """(F,) whether two rectangles have a point in common, frame by frame: no side of either parts them."""
-    apart = np.zeros(len(one), dtype=bool)
-    for first, second in ((one, other), (other, one)):
+    apart = np.zeros(len(left), dtype=bool)
+    for first, second in ((left, right), (right, left)):
         for side in (first[:, 1] - first[:, 0], first[:, 2] - first[:, 1]):
             a, b = (np.einsum("fij,fj->fi", shape, side) for shape in (first, second))
             apart |= (a.max(axis=1) < b.min(axis=1)) | (b.max(axis=1) < a.min(axis=1))

@@ -57,7 +57,7 @@ def _author_spray(layer: Sdf.Layer, spec: WorldSpec, clip: Clip, variant: str, f
     """Clouds of spray go with their vehicles, as dense as their speed makes them, and are none in frames in which one
     meets the camera or a cloud before it.
     """
-    taken = [spray.around(clip.ego.x, clip.ego.y)]
+    areas = [spray.around(clip.ego.x, clip.ego.y)]
     for number, cloud in enumerate(spray.clouds(spec.placed, spec.view, fog), 1):
         track = clip.tracks.get(cloud.vehicle)
         prim = layer.GetPrimAtPath(spray.PATH.format(number).replace("/World/", f"/World{{fog={variant}}}"))
@@ -70,10 +70,10 @@ def _author_spray(layer: Sdf.Layer, spec: WorldSpec, clip: Clip, variant: str, f
         sample(layer, prim.attributes["synfog:fog:sigma_t"].path, clip.codes, np.round(dense, 6).tolist())
         here = spray.corners(track.x, track.y, track.heading, cloud.behind_m, cloud.half_m)
         free = track.shown & (dense > 0.0)
-        for other in taken:
-            free &= ~spray.meet(here, other)
+        for area in areas:
+            free &= ~spray.meet(here, area)
         sample(layer, attribute(prim, "synfog:fog:enabled", KINDS.Bool, True), clip.codes, free.tolist())
-        taken.append(here)
+        areas.append(here)
 
 
 def _author_track(layer: Sdf.Layer, prim: Sdf.PrimSpec, p: Placement, track: Track, clip: Clip) -> None:
