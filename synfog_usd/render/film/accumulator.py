@@ -118,7 +118,7 @@ class Squares:
         return pixels // self.width // SHARE_PX * self.shape[1] + pixels % self.width // SHARE_PX
 
     def pixel(self, squares: Indices, turn: Indices) -> Indices:
-        """(N,) a pixel of each of some squares (N,): of `turn` 0 and 2, 1 and 3 those that face each other."""
+        """(N,) a pixel of each of some squares (N,).  Those of `turn` 0 and 2 touch at a corner, as do 1 and 3."""
         row, column = np.divmod(squares, self.shape[1])
         row, column = SHARE_PX * row + turn % 4 // 2, SHARE_PX * column + (turn + 1) % 4 // 2
         return np.asarray(np.minimum(row, self.height - 1) * self.width + np.minimum(column, self.width - 1))
