@@ -117,7 +117,7 @@ def _through(picture: Image, mean: FloatArray, drops: FloatArray, light: FloatAr
 
 
 def _falls(
-    kinds: Sequence[tuple[SizeClasses, FogMedium]],
+    kinds: Sequence[tuple[SizeClasses, FogMedium, Array]],
     result: RenderedShot,
     graph: NodeGraph,
     exposure_s: float,
@@ -130,10 +130,10 @@ def _falls(
     eye_m = camera.to_world[:3, 3] + np.asarray(result.scene.origin_m)
     towards = Cone(eye_m, -camera.to_world[:3, 2], _half_angle(camera))
     depth, falls = np.zeros((*distance_m.shape, 4 if lamps else 1), np.float32), []
-    for number, (sizes, medium) in enumerate(kinds):
-        reach_m, still = reach_of(sizes, view), np.zeros(3)
+    for number, (sizes, medium, wind) in enumerate(kinds):
+        reach_m = reach_of(sizes, view)
         drops = falling.falling(
-            sizes, reach_m, towards, time_s=moment.time_s, wind_m_s=still, seed=seed32(moment.seed, "falling", number)
+            sizes, reach_m, towards, time_s=moment.time_s, wind_m_s=wind, seed=seed32(moment.seed, "falling", number)
         )
         depth[:, :, 0] += sizes.optical_depth(reach_m, distance_m)
         light = np.zeros((len(drops.place_m), 0))
@@ -156,13 +156,13 @@ def shade_of(scene: SceneDict, loaded: MitsubaScene) -> Shade | None:
     return Shade.of(loaded, lamps) if lamps else None
 
 
-def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium]]:
-    """What falls where the camera is, with the medium of it alone; nothing in a density grid, whose rain is of no one
-    rate.
+def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium, Array]]:
+    """What falls where the camera is, with the medium of it alone and the wind (3,) [m/s]; nothing in a density grid,
+    whose rain is of no one rate.
     """
     of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
     return [
-        (of_kind[kind](sizes), medium_of(kind, sizes=sizes))
+        (of_kind[kind](sizes), medium_of(kind, sizes=sizes), np.array(volume.wind_m_s))
         for volume in _around(scene)
         for kind, sizes in volume.medium.falls
     ]

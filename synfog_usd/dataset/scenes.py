@@ -68,14 +68,20 @@ class Scenes:
         entry = self.lightings[shot.lighting]
         if shot.lighting not in self.light:
             self.light[shot.lighting] = outdoors(entry.scene).sentence(plan.reads.light_scale)
-        if fresh and plan.camera == first:
-            self.known[shot] = self.through_lens(entry.scene)
-            return self.known[shot]
-        scene = entry.within(self.stage, fog=shot.fog_override, camera=plan.camera)
+        scene: SceneDict | None = entry.scene
+        if not fresh or plan.camera != first:
+            scene = entry.within(self.stage, fog=shot.fog_override, camera=plan.camera)
         if scene is None:
-            return self.through_lens(Exchange(self.stage, replace(view, camera=plan.camera)).scene)
-        self.known[shot] = self.through_lens(scene)
+            return self._seen(Exchange(self.stage, replace(view, camera=plan.camera)).scene, shot)
+        self.known[shot] = self._seen(scene, shot)
         return self.known[shot]
+
+    def _seen(self, scene: SceneDict, shot: Shot) -> SceneDict:
+        """A shot's scene on wet roads, where rain is asked for that the stage does not have, through the lens."""
+        from synfog_usd.dataset.wet import rained_on
+
+        rate_mm_h = shot.fog_override.rates.get("rain") if shot.fog_override else None
+        return self.through_lens(scene if rate_mm_h is None else rained_on(scene, rate_mm_h))
 
     def through_lens(self, scene: SceneDict) -> SceneDict:
         """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
@@ -121,7 +127,7 @@ def _dry(todo: Sequence[Shot]) -> list[Note]:
     from synfog_usd.base.notes import Note
 
     rained = dict.fromkeys(shot.fog for shot in todo if shot.fog_override and "rain" in shot.fog_override.rates)
-    text = "wets nothing: the stage has no fog variant of that name; `compose --fog` draws one with a wet road"
+    text = "wets what is labelled road, sidewalk or parking; `compose --fog` draws puddles and spray too"
     return [Note("info", "", f"{fog} {text}") for fog in rained]
 
 

@@ -169,6 +169,7 @@ class FogVolume:
         priority: where two overlap, the higher one fills the place.
         parent: index of the volume that surrounds it in `SceneDict.fog`, or None for clear air.
         origin_m: (3,) where a patchy field's own origin is [m]; it drifts by this.
+        wind_m_s: (3,) velocity of the air, which carries what falls in it.
     """
 
     path: str
@@ -177,6 +178,7 @@ class FogVolume:
     priority: int = 0
     parent: int | None = None
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def grid_frame(self) -> Array:
         """Matrix (4, 4) from the box of its density grid, whose half sides are 1, to world metres."""

@@ -28,7 +28,8 @@ from synfog_usd.translate.geometry import Triangles, part
 from synfog_usd.translate.implicit import read_implicit
 from synfog_usd.translate.medium import VDB_TOOL, read_medium, read_vdb
 from synfog_usd.translate.mesh import read_mesh
-from synfog_usd.translate.space import apply, scaled
+from synfog_usd.translate.pose import authored_velocity
+from synfog_usd.translate.space import apply, columns, scaled
 
 _SLACK = 1e-5
 """Relative shrinking before containment is asked, so that faces that lie in one plane do not count as crossing."""
@@ -81,7 +82,21 @@ def fog_volume(
     lowest = float(boundary.extent()[0][2])
     medium = read_medium(attributes, lowest, prim.GetStage(), notes, grid=grid, densest=densest)
     x, y, z = matrix[:3, 3].tolist()
-    return FogVolume(str(prim.GetPath()), boundary, medium, attributes.values["priority"], origin_m=(x, y, z))
+    wind = _wind(prim, matrix, time, notes)
+    return FogVolume(
+        str(prim.GetPath()), boundary, medium, attributes.values["priority"], origin_m=(x, y, z), wind_m_s=wind
+    )
+
+
+def _wind(prim: Usd.Prim, matrix: Array, time: Usd.TimeCode, notes: Diagnostics) -> tuple[float, float, float]:
+    """Velocity [m/s] of a boundary by its `physics:velocity`, in the scene's axes; (4, 4) `matrix` is its place."""
+    now = UsdGeom.XformCache(time)
+    velocity = authored_velocity(prim, now, notes)
+    if velocity is None:
+        return 0.0, 0.0, 0.0
+    to_scene = matrix @ np.linalg.inv(columns(now.GetLocalToWorldTransform(prim)))
+    x, y, z = (to_scene[:3, :3] @ velocity).tolist()
+    return x, y, z
 
 
 def nested(volumes: list[FogVolume]) -> tuple[FogVolume, ...]:

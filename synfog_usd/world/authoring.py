@@ -79,8 +79,8 @@ def rig_place(view: View, camera: RigCamera) -> Array:
     return np.asarray(car @ shift(camera.right, camera.ahead) @ turn(camera.yaw) @ turn(90.0, "x"))
 
 
-def author_fog(stage: Usd.Stage) -> None:
-    """The box of fog round everything, without a visibility: the fog variants set it."""
+def author_fog(stage: Usd.Stage, wind_m_s: tuple[float, float]) -> None:
+    """The box of fog round everything, without a visibility: the fog variants set it; a wind (x, y) is its velocity."""
     UsdGeom.Scope.Define(stage, "/World/Fog")
     cube = UsdGeom.Cube.Define(stage, "/World/Fog/Global")
     prim = cube.GetPrim()
@@ -96,6 +96,8 @@ def author_fog(stage: Usd.Stage) -> None:
     prim.CreateAttribute("synfog:fog:g", Sdf.ValueTypeNames.Float, custom=False).Set(0.87)
     prim.CreateAttribute("synfog:fog:phase", Sdf.ValueTypeNames.Token, False, Sdf.VariabilityUniform).Set("hg")
     prim.CreateAttribute("synfog:fog:profile", Sdf.ValueTypeNames.Token, False, Sdf.VariabilityUniform).Set("uniform")
+    if any(wind_m_s):
+        prim.CreateAttribute(VELOCITY, Sdf.ValueTypeNames.Vector3f).Set(Gf.Vec3f(*wind_m_s, 0.0))
 
 
 def author_skies(stage: Usd.Stage, spec: WorldSpec, assets: str) -> None:

@@ -58,7 +58,10 @@ def draw(recipe: Recipe, *, seed: int) -> WorldSpec:
     Raises:
         RecipeError: a rule cannot be met, or there is no room for so many people.
     """
-    return DRAWS[recipe.world](Draws(recipe, seed))
+    draws = Draws(recipe, seed)
+    wind_m_s, towards = draws.number("time.wind_m_s"), math.radians(draws.number("time.wind_deg"))
+    wind = round(wind_m_s * math.sin(towards), 6) + 0.0, round(wind_m_s * math.cos(towards), 6) + 0.0
+    return replace(DRAWS[recipe.world](draws), wind_m_s=wind)
 
 
 def compose(
@@ -207,9 +210,7 @@ def clip_of(recipe: Recipe, spec: WorldSpec, *, seed: int) -> tuple[WorldSpec, m
         return spec, None
     headway_s = draws.number("traffic.headway_s") if "traffic.headway_s" in recipe.distributions else HEADWAY_S
     pace = motion.Pace(speed_m_s(draws), headway_s, seed)
-    spec, clip = motion.clip_of(spec, pace, frames=frames, fps=fps)
-    wind_m_s, towards = draws.number("time.wind_m_s"), math.radians(draws.number("time.wind_deg"))
-    return spec, replace(clip, wind_m_s=(wind_m_s * math.sin(towards), wind_m_s * math.cos(towards)))
+    return motion.clip_of(spec, pace, frames=frames, fps=fps)
 
 
 def asset_folder(stage_folder: Path, assets: Path) -> str:

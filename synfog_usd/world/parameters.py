@@ -115,7 +115,9 @@ EGO: dict[str, Parameter] = {
 TIME: dict[str, Parameter] = {
     "time.seconds": Continuous(0.0, 120.0, 0.0, "of a clip, in which traffic and people move [s]; 0 for a still"),
     "time.fps": Continuous(1.0, 240.0, 10.0, "its frames a second"),
-    "time.wind_m_s": Continuous(0.0, 5.0, 0.0, "speed of the wind, with which patches of its fog drift [m/s]"),
+    "time.wind_m_s": Continuous(
+        0.0, 5.0, 0.0, "speed of the wind, with which rain, snow and patches of fog drift [m/s]"
+    ),
     "time.wind_deg": Continuous(0.0, 360.0, 90.0, "where the wind blows to, clockwise from north, +Y [degrees]"),
 }
 RULES: dict[str, Parameter] = {

@@ -130,6 +130,7 @@ class WorldSpec:
         built: names of what is built at the road, with its numbers.
         rig: cameras beside the ego's.
         products: whether the stage says what each camera makes.
+        wind_m_s: (x, y) of the air, which carries drops, flakes and patches of fog.
     """
 
     about: str
@@ -145,6 +146,7 @@ class WorldSpec:
     built: Mapping[str, Any] = field(default_factory=dict)
     rig: tuple[RigCamera, ...] = ()
     products: bool = True
+    wind_m_s: tuple[float, float] = (0.0, 0.0)
 
     @property
     def falls(self) -> dict[str, Fog]:

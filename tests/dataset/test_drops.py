@@ -85,7 +85,7 @@ def test_the_mean_light_of_drops_by_a_lamp_is_what_is_taken_out_of_the_medium():
     along lines of sight, within 1 % and four standard errors, which resolve 3 %.
     """
     scene = shot(rain(), world={"lamp": LAMP}).scene
-    ((sizes, medium),), lamps, view = falling_in(scene), lamps_of(scene), Projection.of(scene.camera)
+    ((sizes, medium, _),), lamps, view = falling_in(scene), lamps_of(scene), Projection.of(scene.camera)
     eye, reach = scene.camera.to_world[:3, 3], reach_of(sizes, view)
     lines = Sightlines.of(scene.camera, lamps, medium, FAR_M)
     wanted = lines.sum(sizes.optical_depth(reach, lines.ends_m), np.full((HEIGHT, WIDTH), 8.0)).sum(axis=(0, 1))
@@ -111,7 +111,7 @@ def test_what_stands_before_a_lamp_shades_the_drops_behind_it():
     lamp = LAMP | {"position": [0.0, 40.0, 0.0]}
     scene = shot(rain(), world={"lamp": lamp, "shape_square": testing.wall(20.0, 1.0)}).scene
     shade, lamps = shade_of(scene, to_mitsuba(scene, boundaries=False)), lamps_of(scene)
-    ((_, medium),) = falling_in(scene)
+    ((_, medium, _),) = falling_in(scene)
     x = np.array([-3.0, -2.7, -0.4, 0.0, 0.4, 2.7, 3.0])
     places = np.stack([x, np.full(7, 8.0), np.zeros(7)], axis=1)
     to_eye = -places / np.linalg.norm(places, axis=1)[:, None]
@@ -160,14 +160,15 @@ def test_drops_are_bright_before_what_is_dark_and_add_up_as_layers():
 
 
 def test_a_frame_and_a_seed_decide_which_drops_there_are():
-    """The same moment gives the same bytes; another moment or seed others."""
+    """The same moment gives the same bytes; another moment, seed or wind others."""
     before = shot(rain())
-    one, same, later, other = (
-        with_drops(before, GRAPH, FallTime(*moment)).rendered.radiance.pixels.tobytes()
-        for moment in ((1.0, 3), (1.0, 3), (1.04, 3), (1.0, 4))
+    windy = replace(before.scene, fog=(replace(before.scene.fog[0], wind_m_s=(3.0, 0.0, 0.0)),))
+    one, same, later, other, blown = (
+        with_drops(replace(before, scene=scene), GRAPH, FallTime(*moment)).rendered.radiance.pixels.tobytes()
+        for scene, *moment in (*((before.scene, *at) for at in ((1, 3), (1, 3), (1.04, 3), (1, 4))), (windy, 1, 3))
     )
     assert one == same
-    assert len({one, later, other}) == 3
+    assert len({one, later, other, blown}) == 4
 
 
 def test_fog_alone_has_no_drops():

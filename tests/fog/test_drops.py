@@ -95,6 +95,16 @@ def test_snow_falls_at_its_rate(rate, of, within):
     assert 3.6e-3 * flux == pytest.approx(rate, rel=within)
 
 
+@pytest.mark.parametrize("of", [drops.snow_sizes, drops.gunn_marshall_sizes])
+def test_snow_is_seen_through_as_rasmussen_has_it(of):
+    """Rasmussen et al., J. Appl. Meteor. 38, 1542 (1999), eq. 13: 3.912 over the extinction is 1.3 C V / S for dry
+    aggregates, C = 0.017 g/cm^2; S = V W of the water W in the air.  Within 2 %, at any speed V.
+    """
+    sizes = of(2.0)
+    visible_cm = 1.3 * 0.017 / (1e-6 * drops.water(sizes))
+    assert 100.0 * 3.912 / drops.extinction("snow", sizes) == pytest.approx(visible_cm, rel=0.02)
+
+
 def test_a_flake_weighs_what_its_drop_does():
     """Volume times density, before and after melting; 1 mg of water is a drop of 1.24 mm and a flake of 3.35 mm."""
     melted, flake = 1.2407, float(drops.flake_diameter(1.2407))

@@ -1,5 +1,6 @@
 """Weather that a recipe draws, against published formulas and against what the stage says in each of its fogs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ from pxr import Usd, UsdGeom, UsdShade
 
 import synfog_usd as sf
 from synfog_usd.base.errors import RecipeError
+from synfog_usd.dataset.wet import rained_on
+from synfog_usd.scene import Instance, testing
 from synfog_usd.stage import open_stage, select
 from synfog_usd.translate import translate
 from synfog_usd.world.compose import draw, load
@@ -80,6 +83,27 @@ def test_the_road_is_wet_where_it_rains_and_there_alone(stage):
     assert look(usd, "haze2000", "asphalt_lane") == dry
 
 
+def test_rain_wets_the_roads_of_a_stage_that_has_none():
+    """By its label a road gets as dark as asphalt under a film of water, 0.047 of 0.085, and shines; a wall stays."""
+    surface = {"type": "preview_surface", "base_color": {"type": "rgb", "value": [0.085] * 3}, "roughness": 0.8}
+    shape = {"type": "rectangle", "bsdf": {"type": "ref", "id": "mat_1"}}
+    names = {("shape_1",): Instance(1, "/Road", "road"), ("shape_2",): Instance(2, "/Wall", "building")}
+    world = {
+        "mat_1": surface,
+        "mat_2": surface,
+        "shape_1": shape,
+        "shape_2": {**shape, "bsdf": {**shape["bsdf"], "id": "mat_2"}},
+    }
+    dry = replace(
+        testing.scene(world), instances=tuple(names.values()), instance_of={key: i.id for key, i in names.items()}
+    )
+    wet = rained_on(dry, 10.0).world
+    assert wet["mat_2"] is surface
+    assert wet["mat_1"]["base_color"]["value"][0] == pytest.approx(0.047, abs=0.002)
+    assert wet["mat_1"]["roughness"] < 0.6 < 0.8 and wet["mat_1"]["clearcoat"] > 0.2
+    assert rained_on(rained_on(dry, 10.0), 10.0).world == wet
+
+
 def test_rain_falls_from_an_overcast_sky_and_drivers_have_their_lamps_on(stage):
     """The stage opens dry, its rain has its rate, its sky is overcast, and its traffic glows by day."""
     spec, usd = stage
@@ -138,6 +162,7 @@ def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
     field = [translate(usd, frame=frame, fog=sf.Fog(150, outer_scale_m=8.0)).fog[0] for frame in (0.0, 11.0)]
     way = np.subtract(field[1].origin_m, field[0].origin_m)
     np.testing.assert_allclose(way, (0.0, -2.0 * 11.0 / 4.0, 0.0), atol=1e-3)  # 2 m/s to the south
+    np.testing.assert_allclose(field[1].wind_m_s, (0.0, -2.0, 0.0), atol=1e-6)
     assert field[0].medium.grid is field[1].medium.grid and field[1].medium.visibility_m == pytest.approx(150.0)
     dense = {}
     for fog in spec.fog:

@@ -74,7 +74,7 @@ def _without_placements(path: Path, spec: WorldSpec, assets: str) -> Sdf.Layer:
     Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
     authoring.author_camera(stage, spec.view)
     authoring.author_rig(stage, spec)
-    authoring.author_fog(stage)
+    authoring.author_fog(stage, spec.wind_m_s)
     authoring.author_skies(stage, spec, assets)
     for group in dict.fromkeys(p.group for p in spec.placed):
         Usd.ModelAPI(UsdGeom.Xform.Define(stage, f"/World/{group}").GetPrim()).SetKind(Kind.Tokens.group)

@@ -74,6 +74,11 @@ def depth_of(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> fl
     return film_depth_mm(rate_mm_h, length, fall, TEXTURE_MM[asphalt.kind])
 
 
+def covered(asphalt: Asphalt, rate_mm_h: float, road: Road | None = None) -> float:
+    """Share of a road's texture that water fills [1]."""
+    return float(np.clip(1.0 + depth_of(asphalt, rate_mm_h, road) / TEXTURE_MM[asphalt.kind], 0.0, 1.0))
+
+
 def ripples(rate_mm_h: float) -> float:
     """Mean square slope of standing water in rain [1].
 
@@ -102,13 +107,12 @@ def rained_on(
     Its pores are full, so that it is as dark as a wet road; the film is smooth where it covers the texture, and shines
     as a coat.  Ripples make puddles rough, as microfacets of their slopes.
     """
-    texture = TEXTURE_MM[asphalt.kind]
-    covered = float(np.clip(1.0 + depth_of(asphalt, rate_mm_h, road) / texture, 0.0, 1.0))
-    wet = looks(replace(asphalt, wet="wet"), materials, smooth=covered)
+    share = covered(asphalt, rate_mm_h, road)
+    wet = looks(replace(asphalt, wet="wet"), materials, smooth=share)
     return {
         name: replace(look, roughness=round((look.roughness**4 + ripples(rate_mm_h)) ** 0.25, 3))
         if name == "puddle"
-        else replace(look, clearcoat=round(COAT * covered, 3), clearcoat_roughness=COAT_ROUGHNESS)
+        else replace(look, clearcoat=round(COAT * share, 3), clearcoat_roughness=COAT_ROUGHNESS)
         for name, look in wet.items()
     }
 

@@ -115,7 +115,6 @@ class Clip:
         tracks: what moves, and who waits on foot, by its number in `WorldSpec.placed`.
         ego: the lens.
         signals: of each signal that changes, by its number in `WorldSpec.placed`: (F,) whether each lens is lit.
-        wind_m_s: (x, y) of the air, which carries patches of fog.
     """
 
     fps: float
@@ -123,7 +122,6 @@ class Clip:
     tracks: Mapping[int, Track]
     ego: Track
     signals: Mapping[int, Mapping[str, Flags]] = field(default_factory=dict)
-    wind_m_s: tuple[float, float] = (0.0, 0.0)
 
 
 def clip_of(spec: WorldSpec, pace: Pace, *, frames: int, fps: float) -> tuple[WorldSpec, Clip]:

@@ -46,7 +46,7 @@ def author(layer: Sdf.Layer, spec: WorldSpec, clip: Clip) -> None:
         author_signal(layer, spec.placed[index], lenses, clip.codes)
     _author_cameras(layer, spec, clip)
     drift = layer.GetAttributeAtPath("/World/Fog/Global.xformOp:translate")
-    way = np.outer(clip.codes / clip.fps, [*clip.wind_m_s, 0.0])
+    way = np.outer(clip.codes / clip.fps, [*spec.wind_m_s, 0.0])
     places = [Gf.Vec3d(*row) for row in np.round(np.array(drift.default) + way, 4).tolist()]
     sample(layer, drift.path, clip.codes, places)
     for variant, fog in spec.falls.items():
