@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -259,12 +259,14 @@ def rows(
     shape = (scene.camera.height_px, scene.camera.width_px)
     instances, visible = shown_of(scene.instances, ids), {}
     place = solids(scene, {shown.id for shown in instances})
-    for instance in instances:
+    turns = _turns([instance.frame for instance in instances])
+    axes = map(_Axes, (shown.frame for shown in instances), turns, _wxyz(turns), _wxyz(view.rotation @ turns))
+    for instance, of_prim in zip(instances, axes, strict=True):
         first, last = np.searchsorted(ids, [instance.id, instance.id + 1])
         row = _outline(pixels[first:last], shape, nearest)
         solid = place.get(instance.id)
         if solid is not None:
-            row |= _in_space(solid, instance.frame, view, scene.origin_m)
+            row |= _in_space(solid, of_prim, view, scene.origin_m)
             box = view.box_px(solid)
             if box is not None and row["amodal_pixels"]:
                 row["truncation"] = round(view.truncation(box), 4)
@@ -293,9 +295,18 @@ def _outline(pixels: Indices, shape: tuple[int, int], nearest: tuple[Indices, In
     }
 
 
-def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[float, float, float]) -> dict[str, Any]:
+class _Axes(NamedTuple):
+    """A prim's frame (4, 4), the rotation in it, and that as quaternions in the world and from the camera."""
+
+    frame: Array
+    turn: Array
+    world_wxyz: list[float]
+    camera_wxyz: list[float]
+
+
+def _in_space(solid: Solid, axes: _Axes, view: Projection, origin_m: tuple[float, float, float]) -> dict[str, Any]:
     """Pose of an instance, and the box around it along the axes of its prim."""
-    turn = _turn(frame)
+    frame, turn = axes.frame, axes.turn
     local = (solid.points - frame[:3, 3]) @ turn
     low, high = extent(local)
     places = np.stack([frame[:3, 3], frame[:3, 3] + turn @ ((low + high) / 2.0)])
@@ -303,9 +314,9 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
     return {
         "pose": {
             "world_m": _rounded(world[0], 4),
-            "world_wxyz": _wxyz(turn),
+            "world_wxyz": axes.world_wxyz,
             "camera_m": _rounded(from_eye[0], 4),
-            "camera_wxyz": _wxyz(view.rotation @ turn),
+            "camera_wxyz": axes.camera_wxyz,
         },
         "box_3d": {
             "size_m": _rounded(high - low, 4),
@@ -318,26 +329,27 @@ def _in_space(solid: Solid, frame: Array, view: Projection, origin_m: tuple[floa
 def moving_parts(scene: SceneDict) -> list[dict[str, Any]]:
     """What `labels.json` tells of the parts of instances that move by themselves: id, prim path, instance and pose."""
     rows = []
-    for part in scene.parts:
+    for part, wxyz in zip(scene.parts, _wxyz(_turns([part.frame for part in scene.parts])), strict=True):
         place = part.frame[:3, 3] + np.asarray(scene.origin_m)
-        pose = {"world_m": _rounded(place, 4), "world_wxyz": _wxyz(_turn(part.frame))}
+        pose = {"world_m": _rounded(place, 4), "world_wxyz": wxyz}
         rows.append({"id": part.id, "path": part.path, "instance": part.instance, "pose": pose})
     return rows
 
 
-def _turn(frame: Array) -> Array:
-    """(3, 3) rotation nearest to a prim's axes."""
-    u, _, right = np.linalg.svd(frame[:3, :3])
-    turn = u @ right
-    if np.linalg.det(turn) < 0.0:
-        turn[:, 0] *= -1.0  # a mirrored prim: what was left is right
-    return np.asarray(turn)
+def _turns(frames: Sequence[Array]) -> Array:
+    """(N, 3, 3) rotations nearest to the axes of prims."""
+    u, _, right = np.linalg.svd(np.reshape(frames, (-1, 4, 4))[:, :3, :3])
+    turns = np.asarray(u @ right)
+    turns[np.linalg.det(turns) < 0.0, :, 0] *= -1.0  # a mirrored prim: what was left is right
+    return turns
 
 
-def _wxyz(turn: Array) -> list[float]:
+def _wxyz(turns: Array) -> list[list[float]]:
+    """Unit quaternions of rotations (N, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    return _rounded(Rotation.from_matrix(turn).as_quat(canonical=True, scalar_first=True), 6)
+    rows = Rotation.from_matrix(turns).as_quat(canonical=True, scalar_first=True) if len(turns) else turns
+    return [_rounded(row, 6) for row in rows]
 
 
 def _rounded(values: Array | Sequence[float], digits: int) -> list[float]:

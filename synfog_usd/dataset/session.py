@@ -18,7 +18,7 @@ from synfog_usd.base.errors import GraphError, StageError
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.numbers import RGB
 from synfog_usd.base.seeds import frame_seed, seed32
-from synfog_usd.dataset.plan import BakePlan
+from synfog_usd.dataset.plan import BakePlan, Shot
 from synfog_usd.dataset.scenes import Scenes
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ class Session:
     _scenes: dict[str | None, Scenes] = field(default_factory=dict)
     _lightings: dict[str, Any] = field(default_factory=dict)
     _before: dict[str, Any] = field(default_factory=dict)
+    _same_but_fog: set[tuple[Shot, str | None]] = field(default_factory=set)
 
     @functools.cached_property
     def stage_hash(self) -> str:
@@ -93,6 +94,17 @@ class Session:
                 before=self._before,
             )
         return self._scenes[camera]
+
+    def without_fog(self, camera: str | None, shot: Shot, clear: Shot) -> SceneDict:
+        """What a camera sees of a shot in its clear air; a clip reads that for its first frame alone, where the two
+        differ in fog only.
+        """
+        scenes, key = self.scenes(camera), (shot, camera)
+        known = scenes.known.get(shot)
+        scene = known if known and key in self._same_but_fog else scenes.of(clear)
+        if known and scene.world is known.world:
+            self._same_but_fog.add(key)
+        return replace(scene, fog=())
 
     def specimen(self, camera: str | None) -> str | None:
         """Which of a rig's cameras it is: its path, or None for the one that the stage itself would choose."""

@@ -71,7 +71,7 @@ def clear_scenes(shot: Shot, session: Session, camera: str | None) -> dict[str |
     plan = session.plan
     partners = [name for name in plan.rig if name != camera] if plan.exposes.meter == TOGETHER else []
     clear = cleared(session.stage, shot)
-    return {name: replace(session.scenes(name).of(clear), fog=()) for name in (camera, *partners)}
+    return {name: session.without_fog(name, shot, clear) for name in (camera, *partners)}
 
 
 def meter_view(
