@@ -77,6 +77,10 @@ RR_DEPTH = 8
 FAINT = 0.5
 """Share of a path's throughput after the first vertex below which it faces Russian roulette from the first event on."""
 
+FAINT_OF_LAMPS = 2.0
+"""The same of paths from a surface to lamps: half of them end there. Each costs twice what one to the sky does, and
+light that lamps send to a surface by way of others is smooth."""
+
 UNLIMITED = 1 << 20
 
 
@@ -201,6 +205,7 @@ class FogPath:
         context, medium, bands, black = mi.BSDFContext(), self.medium, self.bands, self.bands.black()
         paths, image_seed = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, seed)
         lit_apart = LIT in self.estimators and not inscattered
+        faint = FAINT_OF_LAMPS if asks.lights.count and not inscattered else FAINT
 
         # ---- Tasks: each is some paths of one pixel, and a lane does one after the other
         parts = len(AOVS[INSCATTERED if inscattered else SURFACE])
@@ -401,7 +406,7 @@ class FogPath:
 
             # ==== 11. Roulette
             scale = dr.select(depth == 1, dr.maximum(dr.max(throughput), 1e-30), scale)
-            rr_prob = self.roulette(throughput, scale, depth)
+            rr_prob = self.roulette(throughput, scale, depth, faint)
             alive &= (dr.max(throughput) > 0.0) & (sampler.next_1d(alive) < rr_prob)
             alive &= medium_scattered | (bounces < self.truncation.bounces)
             throughput /= dr.maximum(rr_prob, 1e-8)
@@ -453,9 +458,9 @@ class FogPath:
         share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
         return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
-    def roulette(self, throughput: SampledSpectrum, scale: Float, depth: UInt32) -> Float:
+    def roulette(self, throughput: SampledSpectrum, scale: Float, depth: UInt32, faint: float) -> Float:
         """(11) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little."""
-        return dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (FAINT * scale), 1.0)
+        return dr.select(depth > RR_DEPTH, self.rr_prob, 1.0) * dr.minimum(dr.max(throughput) / (faint * scale), 1.0)
 
 
 def _rr_prob(medium: Medium) -> float:
