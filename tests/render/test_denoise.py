@@ -148,6 +148,16 @@ def made_up(shape, channels=3, seed=0):
 
 
 @needs_oidn
+def test_a_horizon_that_fog_hides_leaves_no_noise_before_it(shape=(64, 96)):
+    """With nothing to see of the upper part, noise of 80 % below goes to a tenth of the light."""
+    through = np.broadcast_to(np.where(np.arange(shape[0]) < 40, 1e-12, 0.9)[:, None], shape)
+    light = through[..., None] * np.random.default_rng(1).gamma(1.5, 400.0, (*shape, 3))
+    seen = denoise.Guides(np.full((*shape, 3), 0.2), np.tile([0.0, 0.0, 1.0], (*shape, 1)), through)
+    road = denoise.denoise({"surface": light}, seen)["surface"][44:]
+    assert road.std() < 0.1 * road.mean()
+
+
+@needs_oidn
 @pytest.mark.parametrize("shape, channels", [((3, 3), 3), ((9, 70), 8), ((64, 20), 1)])
 def test_odd_images_come_out_finite_and_not_negative(shape, channels):
     """Full and no transmittance side by side, odd sizes, bands in any number."""
