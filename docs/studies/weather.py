@@ -1,7 +1,7 @@
 """One street in every kind of weather: a sheet of pictures, and how wrong one airlight is in each.
 
     synfog-usd bake stages/crossroads.usda --quality draft --resolution 640x360 --out out/weather \\
-        --fog clear,mor150,mor150_patch20_deviation1,haze1500,mist400,smoke100,dust200,spray80,rain25,snow2
+        --fog clear,mor150,mor150_patch20_deviation1,haze1500,mist400,smoke100_scale50,dust200,spray80,rain25,snow2
     python -m docs.studies.weather out/weather
 
 It writes docs/reference/weather.md and the pictures of that page.

@@ -158,7 +158,10 @@ class Fog:
                 values[key] = value if key in ("phase", "profile") else _number(f"--fog {name}:", value)
             values["rate_mm_h" if kind in numbers.RATED else "mor_m"] = number
             media.append(cls(kind=None if kind == "mor" else kind, **values))  # type: ignore[arg-type]
-        return replace(media[0], also=tuple(media[1:])) if len(media) > 1 else media[0]
+        try:
+            return replace(media[0], also=tuple(media[1:]))
+        except ParameterError as problem:
+            raise ParameterError(f"--fog {name}: {problem}") from problem
 
     def over(self, medium: FogMedium) -> FogMedium:
         """The fog in a boundary whose own is `medium`; it is not clear air."""

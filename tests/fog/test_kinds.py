@@ -190,12 +190,7 @@ def test_a_part_of_fog_scatters_less_than_it_stops():
     assert both.albedo == pytest.approx((1.0 + kinds.medium_of("smoke", mor_m=1.0).albedo) / 2.0)
     assert both.visibility_m == pytest.approx(50.0)
     assert isinstance(Fog(100.0).over(FogMedium(0.1)).phase_function, HenyeyGreenstein)
-
-
-def test_haze_with_some_soot_is_as_bright_as_smoke_of_wood():
-    """Albedo of 0.95 to 0.97 in midvisible light where forests burn: Sayer et al., Atmos. Chem. Phys. 14, 11493
-    (2014).
-    """
+    # where forests burn, in midvisible light: Sayer et al., Atmos. Chem. Phys. 14, 11493 (2014)
     assert 0.95 <= Fog.named("haze100+smoke1500").over(FogMedium(1.0)).albedo <= 0.97
 
 
@@ -215,13 +210,10 @@ def test_what_no_medium_is_like_is_refused(asked, words):
         kinds.medium_of(**asked)
 
 
-def test_media_that_thin_with_different_heights_are_refused():
+def test_media_of_one_grid_are_one():
+    """Rain over a stage's patchy fog is patchy as that is; media that thin with different heights are refused."""
     with pytest.raises(ParameterError, match="one scale height"):
         kinds.joined([FogMedium(0.1), FogMedium(0.1, profile="exponential")])
-
-
-def test_media_of_one_grid_are_one():
-    """Rain over a stage's patchy fog is patchy as that is."""
     grid = DensityGrid(np.linspace(0.0, 1.0, 8, dtype=np.float32).reshape(2, 2, 2))
     both = Fog(kind="rain", rate_mm_h=10.0, also=(Fog(100.0),)).over(FogMedium(0.1, profile="grid", grid=grid))
     assert both.grid is grid and both.sigma_t_per_m > 0.03
