@@ -51,7 +51,7 @@ def _summary(job: BakeJob, baked: Baked) -> str:
         clips = [
             clip for sequence in (manifest if isinstance(manifest, list) else [manifest]) for clip in sequence["clips"]
         ]
-        return f"{len(job.codes)} frames in {out}: {', '.join(clips)}"
+        return f"{len(job.codes)} frame{'s' * (len(job.codes) > 1)} in {out}: {', '.join(clips)}"
     if "cameras" in manifest:
         sheets = ", ".join(str(out / row["folder"] / "contact.png") for row in manifest["cameras"])
         return f"{len(manifest['cameras'])} cameras in {out}: look at {sheets}"

@@ -168,6 +168,24 @@ def test_masks_of_mots_are_read_by_coco(clip, exported):
         np.testing.assert_array_equal(found, np.isin(ids, mine))
 
 
+@pytest.mark.parametrize(
+    ("kind", "labels", "score"), [("Kitti2DBox", "label_02", " 1"), ("KittiMOTS", "instances_txt", "")]
+)
+def test_trackeval_gives_the_truth_as_results_full_marks(exported, tmp_path, kind, labels, score):
+    evaluation, out = library("trackeval"), exported("kitti-tracking")
+    shutil.copytree(out / "training" / labels, tmp_path / "label_02")
+    seqmap = shutil.copy(out / "evaluate_tracking.seqmap.training", tmp_path)
+    (results := tmp_path / "all" / "ours" / "data").mkdir(parents=True)
+    for path in (tmp_path / "label_02").iterdir():
+        rows = [row for row in path.read_text().splitlines() if row.split()[2] in ("Car", "Pedestrian", "1", "2")]
+        (results / path.name).write_text("".join(f"{row}{score}\n" for row in rows))
+    places = {"GT_FOLDER": str(tmp_path), "TRACKERS_FOLDER": str(tmp_path / "all"), "SPLIT_TO_EVAL": "training"}
+    dataset = getattr(evaluation.datasets, kind)({**places, "SEQMAP_FILE": seqmap})
+    found = evaluation.Evaluator({"PLOT_CURVES": False}).evaluate([dataset], [evaluation.metrics.HOTA()])[0]
+    every = found[kind]["ours"]["COMBINED_SEQ"]
+    assert [every[name]["HOTA"]["HOTA"].min() for name in ("car", "pedestrian")] == [1.0, 1.0]
+
+
 def test_flow_of_virtual_kitti_is_decoded_as_its_authors_do(clip, exported):
     """2 v / 65535 - 1 of the width and height less one, by OpenCV; 0 where the third colour is 0: ours to a step."""
     cv2 = library("cv2")

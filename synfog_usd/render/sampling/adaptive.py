@@ -180,6 +180,7 @@ def accumulate_denoised(
     everywhere = np.arange(pixels)
     spent, share = 0.0, 0.0  # samples, and the part of the work that they are, as far as is known
     after, enough = float(min(FIRST, target.samples)), KEPT if again else 1.0
+    least = LEAST_STRIDE if again else 1.0  # what the frame before had may be a little less than the limit
     reach = 1.0 if target.open else after / target.samples
     while True:
         for more in again:
@@ -188,7 +189,7 @@ def accumulate_denoised(
             more = allocation(accumulated, number, denoised=True)
             add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
         spent, share, again = accumulated.samples_per_pixel if again else after, reach, []
-        if target.open or spent >= target.samples:
+        if target.open or spent * least >= target.samples:
             break
         needed = _times_before_denoising(accumulated, target)
         if needed <= enough and (picture := denoised(accumulated)) is not None:
