@@ -1,6 +1,7 @@
 """What a set holds, and how long a unit may take."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from support.cli import process, run
@@ -11,12 +12,14 @@ from synfog_usd.dataset.sets.load import load_set
 
 def test_the_set_of_the_paper_is_counted():
     """500 scenes x 2 x 4 shots through 2 cameras, the foggy ones by a third; 3 files of a shot, 2 of each camera, 5 of
-    a scene in a lighting.
+    a scene in a lighting.  In rain and snow the second camera has light of its own.
     """
-    found = count(load_set(Path("synfog")))
+    paper, weather = (load_set(Path(name)) for name in ("synfog", "weather"))
+    found, rained_on = count(paper), count(replace(weather, pipelines=paper.pipelines))
     assert (found.scenes, found.shots, found.pictures) == (500, 4000, 11_000)
     assert found.units == {"sky": 500, "active": 500} and found.splits == {"train": 450, "test": 50}
     assert found.files == 4000 * (3 + 2 * 2) + 3000 * 2 + 1000 * 5
+    assert rained_on.files == 2000 * (3 + 2 * 2) + 200 * 3 + 200 * 5
     assert sum(found.sources.values()) == 500
 
 

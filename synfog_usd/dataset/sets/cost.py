@@ -13,6 +13,7 @@ from synfog_usd.dataset.sets import offers
 from synfog_usd.dataset.sets.definition import SetDefinition
 from synfog_usd.dataset.sets.journal import Tally
 from synfog_usd.dataset.sets.scenes import scenes
+from synfog_usd.fog import Fog
 
 UNKNOWN_S = 3600.0
 """Limit of a unit of `UNKNOWN_PX` pixels while nothing is known of its cost."""
@@ -96,6 +97,8 @@ def count(definition: SetDefinition) -> Count:
         foggy = len(planned.units) * sum(fog != CLEAR for fog in planned.fogs)
         pictures += planned.shots * len(definition.pipelines) + foggy * len(guessed)
         files += planned.shots * a_shot + foggy * sum(guessed) + len(planned.units) * a_view
+        falling = sum(bool(fog and fog.rates) for fog in map(Fog.named, planned.fogs))
+        files += len(planned.units) * falling * (len(definition.pipelines) - 1)  # with the streaks of each
         for lighting in planned.lightings:
             units[lighting] = units.get(lighting, 0) + len(planned.cameras)
     return Count(definition.scenes, shots, pictures, files, units, splits, sources)
