@@ -37,21 +37,24 @@ def test_each_turn_looks_through_another_pixel_of_the_square():
     assert set(pixels.ravel()) == set(range(WIDTH * HEIGHT))
 
 
+def in_fog(world):
+    """Fog around a world under an even sky."""
+    fog = uniform_fog(visibility_m=60.0, half_size=90.0)
+    return scene({**world, **sky()}, [fog], fov_x_deg=60.0, width_px=WIDTH, height_px=HEIGHT)
+
+
 def street():
-    """A dark box close by before a wall far away, in fog under an even sky."""
+    """A dark post close by on a road."""
     grey = {"type": "diffuse", "reflectance": rgb(0.3)}
     ground = squares([[-60, -5, -2], [60, -5, -2], [60, 95, -2], [-60, 95, -2]], bsdf=grey)
     post = squares([[-1, 4, -2], [1, 4, -2], [1, 4, 4], [-1, 4, 4]], bsdf=grey)
-    world = {"shape_ground": ground, "shape_post": post, **sky()}
-    return scene(
-        world, [uniform_fog(visibility_m=60.0, half_size=90.0)], fov_x_deg=60.0, width_px=WIDTH, height_px=HEIGHT
-    )
+    return in_fog({"shape_ground": ground, "shape_post": post})
 
 
 @pytest.mark.usefixtures("mi")
 def test_light_by_squares_is_the_light_by_pixels():
-    """Means of eight runs each.  Over the picture they differ by 1 % at most, where their noise is 0.2 %: squares of so
-    small a picture are not even, which leaves 0.9 %.  Around the post they differ by 3 % at most; noise is 1.3 %.
+    """Means of eight runs each: of the picture within 0.7 %, where their noise is 0.2 %, and around the post within 4 %,
+    where it is 1.3 %.
     """
     loaded = load(street(), boundaries=False, spectra=False)
     integrator, pixels = models.make("path", loaded), np.arange(WIDTH * HEIGHT)
@@ -67,19 +70,19 @@ def test_light_by_squares_is_the_light_by_pixels():
         return np.mean(runs, axis=0)
 
     by_squares, by_pixels = light(seen), light(None)
-    assert by_squares.mean() == pytest.approx(by_pixels.mean(), rel=0.01)
+    assert by_squares.mean() == pytest.approx(by_pixels.mean(), rel=0.007)
     near = np.zeros((HEIGHT, WIDTH), dtype=bool)
     near[: HEIGHT // 2, WIDTH // 2 - 2 : WIDTH // 2 + 3] = True
-    assert by_squares[near].mean() == pytest.approx(by_pixels[near].mean(), rel=0.03)
+    assert by_squares[near].mean() == pytest.approx(by_pixels[near].mean(), rel=0.04)
 
 
 @pytest.mark.usefixtures("mi")
 def test_variance_that_squares_share_is_told_as_that_of_sums():
     """The variance of the picture's sum over 24 seeds is what `noise` tells, within the 60 % that so many
-    resolve; a square counted as independent pixels would tell a
-    quarter.  Surfaces have enough samples to be quiet.
+    resolve; a square counted as independent pixels would tell a quarter.  Nothing hides the fog: at an edge the halves,
+    which look through different pixels, would differ by more than noise.
     """
-    loaded = load(street(), boundaries=False, spectra=False)
+    loaded = load(in_fog({}), boundaries=False, spectra=False)
     integrator, pixels = models.make("path", loaded), np.arange(WIDTH * HEIGHT)
     seen = 1.0 - denoising.guides(loaded).transmittance.ravel()
     sums, told = [], []

@@ -138,6 +138,12 @@ class Squares:
         self.add(sums, np.arange(len(values)), values)
         return sums
 
+    def over_mean(self, values: FloatArray) -> FloatArray:
+        """(P,) values >= 0 of all pixels over the mean of their squares, 1 where that is 0."""
+        both = np.stack([values, np.ones_like(values)], axis=1).astype(np.float64)
+        total, count = self.sums(both)[self.of(np.arange(len(values)))].T
+        return np.where(total > 0.0, values * count / np.maximum(total, 1e-30), 1.0).astype(np.float32)
+
 
 @dataclass(frozen=True)
 class Moments:
@@ -177,11 +183,9 @@ class Traces(Integrator, Protocol):
     group_names: tuple[str, ...]
     bands: Bands
 
-    def trace(
-        self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int, *, over_opacity: bool = False
-    ) -> Moments:
+    def trace(self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int) -> Moments:
         """`count` paths of an estimator in each lane; (N,) `pixel`, and (N,) `first` the number of a lane's first
-        path.  `over_opacity`: light of `IN_SQUARES` over the opacity of the fog before what a path sees.
+        path.
         """
 
 
@@ -197,8 +201,8 @@ class Estimator:
         counts: (H, P) samples of each half of each pixel.
         lanes: (P,) of each pixel; None where they are as many as the samples.
         cut: the squares in which groups are kept, or None.
-        opacity: (P,) of the fog before what each pixel shows, where paths are those of a square and `counts` as well;
-            None where each pixel has paths of its own.
+        opacity: (P,) of the fog before what each pixel shows, over the mean of its square, where paths are those of a
+            square and `counts` as well; None where each pixel has paths of its own.
         fireflies: name -> (H, P, C) what lanes brought beyond their limit; empty where there is none.
     """
 
@@ -440,11 +444,12 @@ def new_accumulator(
     Args:
         denoised: whether it will be: then light groups are kept in squares, but for those of DIRECT, and fireflies
             apart.
-        opacity: (P,) see `Estimator`, for paths in squares; None for paths in each pixel.
+        opacity: (P,) of the fog before what each pixel shows, for paths in squares; None for paths in each pixel.
     """
     groups, bands = len(integrator.group_names), integrator.bands
     groups = groups if groups > 1 else 0
     shape, camera = (pixels, bands.count), integrator.loaded.source.camera
+    over_mean = None if opacity is None else Squares(camera.width_px, camera.height_px).over_mean(opacity)
 
     def empty(estimator: str) -> Estimator:
         cut = Squares(camera.width_px, camera.height_px) if denoised and groups and estimator != DIRECT else None
@@ -457,7 +462,7 @@ def new_accumulator(
             np.zeros((HALVES, pixels), dtype=np.int32),
             np.zeros(pixels, dtype=np.int32),
             cut,
-            opacity if estimator in IN_SQUARES else None,
+            over_mean if estimator in IN_SQUARES else None,
             {name: np.zeros((HALVES, *shape), dtype=np.float32) for name in AOVS[estimator]} if apart else {},
         )
 

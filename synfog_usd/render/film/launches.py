@@ -215,7 +215,7 @@ def _launched(
 ) -> _Launch:
     """Begin it: `lanes` are the pixel of each and the number of its first path."""
     pixel, first = (backend.numbers(numbers) for numbers in lanes)
-    moments = integrator.trace(name, pixel, first, count, seed, over_opacity=target.squares is not None)
+    moments = integrator.trace(name, pixel, first, count, seed)
     dr.eval(moments.aovs, moments.groups, moments.lost)  # which does not wait for it
     return _Launch(name, target, count, halves, moments)
 

@@ -169,9 +169,7 @@ class FogPath:
         """An image, see `Integrator`."""
         return accumulate_by_estimator(self, samples=samples, seed=seed, progress=progress)
 
-    def trace(
-        self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int, *, over_opacity: bool = False
-    ) -> Moments:
+    def trace(self, estimator: str, pixel: UInt32, first: UInt32, count: int, seed: int) -> Moments:
         """Trace `count` paths of an estimator in each lane.
 
         Args:
@@ -180,7 +178,6 @@ class FogPath:
             first: (N,) number of each lane's first path; the random numbers of a path depend on pixel and number alone.
             count: paths a lane.
             seed: of the image and the estimator.
-            over_opacity: see `Traces`.
         """
         asks = self.of_others if estimator in (SURFACE, INSCATTERED) else self.of_lamps
         assert asks is not None
@@ -188,15 +185,14 @@ class FogPath:
         if estimator in first_segment:
             return first_segment[estimator](self, asks, pixel, first, count, seed)
         inscattered = estimator in (INSCATTERED, INSCATTERED_OF_LAMPS)
-        whole = dr.opaque(backend.mitsuba().Bool, over_opacity)
-        return self.trace_paths(asks, inscattered, pixel, first, count, seed, whole)
+        return self.trace_paths(asks, inscattered, pixel, first, count, seed)
 
     @dr.syntax
     def trace_paths(
-        self, asks: NextEvent, inscattered: bool, pixel: UInt32, first: UInt32, count: int, seed: int, whole: Bool
+        self, asks: NextEvent, inscattered: bool, pixel: UInt32, first: UInt32, count: int, seed: int
     ) -> Moments:
         """Paths whose first segment meets a surface, or (`inscattered`) is scattered, to the light that `asks` counts;
-        `whole`: with the weight 1 instead of the share that is scattered; other arguments as in `trace`.
+        other arguments as in `trace`.
 
         A lane whose path has ended begins its next one, and goes on with another pixel where one has all its
         paths: vector units work on 16 lanes in step, and would otherwise wait for the longest path of the 16.
@@ -275,7 +271,6 @@ class FogPath:
                 if dr.hint(inscattered, mode="scalar"):
                     share, place = medium.sample_inside(ray.o, ray.d, near, fog_end, u_flight, sampler, at_eye)
                     some = at_eye & (share > 0.0)
-                    share = dr.select(some & whole, 1.0, share)
                     surface_hit &= ~at_eye
                     flight = dr.select(some, place, flight)
                     medium_scattered |= some
