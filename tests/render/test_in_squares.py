@@ -53,8 +53,8 @@ def street():
 
 @pytest.mark.usefixtures("mi")
 def test_light_by_squares_is_the_light_by_pixels():
-    """Means of eight runs each: of the picture within 0.7 %, where their noise is 0.2 %, and around the post within 4 %,
-    where it is 1.3 %.
+    """Means of eight runs each: of the picture within 0.7 %, where noise is 0.2 %, and of the post within 4 %, where
+    it is 1.3 %.
     """
     loaded = load(street(), boundaries=False, spectra=False)
     integrator, pixels = models.make("path", loaded), np.arange(WIDTH * HEIGHT)
