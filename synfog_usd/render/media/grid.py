@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MOST_CELLS = 64
 """Cells of the majorants along an axis."""
 
-LEAST_BLOCK = 4
+LEAST_BLOCK = 8
 """Voxels along a cell's side at least; smaller cells fit better and cost more steps."""
 
 NUDGE = 1e-3
@@ -43,10 +43,6 @@ ROUNDING = 2.4e-7
 
 FAINT = 0.1
 """Transmittance below which a collision ends the ray or does nothing: else it would creep on behind dense fog."""
-
-
-BOOST = 2.0
-"""Factor on the majorants where a transmittance is asked for."""
 
 
 class Volume(Protocol):
@@ -111,14 +107,14 @@ class GridTracker:
             u: the number in [0, 1) that draws the first collision.
             key: of the random numbers for all others.
             until_scattered: whether a true collision ends the ray, so that the transmittance is 0 or 1; else all of
-                them weigh it, with more collisions and less noise.
+                them weigh it, with less noise.
 
         Returns:
             transmittance T, unbiased; and a distance [m], infinite where T is 1: with the weight 1 - T it is drawn in
             proportion to transmittance x extinction.
         """
         mi = backend.mitsuba()
-        faint, boost = (2.0, 1.0) if until_scattered else (FAINT, BOOST)
+        faint = 2.0 if until_scattered else FAINT
         at, along = mi.Vector3f(self.to_cells @ mi.Point3f(origin)), mi.Vector3f(self.to_cells @ mi.Vector3f(direction))
         safe = mi.Vector3f([dr.select(dr.abs(x) < 1e-12, dr.copysign(mi.Float(1e-12), x), x) for x in along])
         per_cell, side = dr.rcp(safe), dr.select(safe > 0.0, mi.Vector3f(1.0), mi.Vector3f(0.0))
@@ -131,11 +127,7 @@ class GridTracker:
         while flies:
             here = at + along * distance
             cell = dr.floor(here)
-            most = (
-                boost
-                * self.sigma_t
-                * dr.gather(mi.Float, self.majorants, self._index(mi.Vector3i(cell), self.cells), flies)
-            )
+            most = self.sigma_t * dr.gather(mi.Float, self.majorants, self._index(mi.Vector3i(cell), self.cells), flies)
             leap = dr.maximum(dr.min((cell + side - here) * per_cell), 0.0) + nudge + ROUNDING * distance
             leaves = distance + leap >= end
             leap = dr.minimum(leap, end - distance)
