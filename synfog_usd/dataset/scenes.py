@@ -120,10 +120,10 @@ class Scenes:
         camera is guessed.
         """
         all_notes = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
-        return tuple(dict.fromkeys([*all_notes, *_dry(todo), *_guessed(self.graph)]))
+        return tuple(dict.fromkeys([*all_notes, *_wetted(todo), *_guessed(self.graph)]))
 
 
-def _dry(todo: Sequence[Shot]) -> list[Note]:
+def _wetted(todo: Sequence[Shot]) -> list[Note]:
     from synfog_usd.base.notes import Note
 
     rained = dict.fromkeys(shot.fog for shot in todo if shot.fog_override and "rain" in shot.fog_override.rates)

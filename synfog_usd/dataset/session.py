@@ -100,9 +100,9 @@ class Session:
         differ in fog only.
         """
         scenes, key = self.scenes(camera), (shot, camera)
-        known = scenes.known.get(shot)
-        scene = known if known and key in self._same_but_fog else scenes.of(clear)
-        if known and scene.world is known.world:
+        foggy = scenes.known.get(shot)
+        scene = foggy if foggy and key in self._same_but_fog else scenes.of(clear)
+        if foggy and scene.world is foggy.world:
             self._same_but_fog.add(key)
         return replace(scene, fog=())
 

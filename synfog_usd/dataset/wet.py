@@ -1,6 +1,7 @@
 """Rain on the roads of a stage that was not drawn for it: what is labelled road or pavement gets dark and shines.
 
-Takes a scene and the rate of rain; gives the scene with other materials.  Puddles and spray are drawn by recipes alone.
+Takes a scene and the rate of rain; gives the scene with other materials.  What shares a material with a road gets wet
+with it; roads within instances stay dry.  Puddles and spray are drawn by recipes alone.
 """
 
 from __future__ import annotations
@@ -23,10 +24,8 @@ OUTDOORS = ("road", "sidewalk", "parking")
 
 def rained_on(scene: SceneDict, rate_mm_h: float) -> SceneDict:
     """The scene in rain of a rate [mm/h], see `roads.water`; what has the index of water is wet already."""
-    labels = [instance.label for instance in scene.instances]
-    shapes = [
-        scene.world.get(key[0], {}) for key, number in scene.instance_of.items() if labels[number - 1] in OUTDOORS
-    ]
+    outdoors = {instance.id for instance in scene.instances if instance.label in OUTDOORS}
+    shapes = [scene.world.get(key[0], {}) for key, number in scene.instance_of.items() if number in outdoors]
     names = {shape["bsdf"]["id"] for shape in shapes if shape.get("bsdf", {}).get("type") == "ref"}
     covered = water.covered(Asphalt(), rate_mm_h)
     wet = {name: _wet(part, covered) if name in names else part for name, part in scene.world.items()}
@@ -41,7 +40,9 @@ def _wet(part: Mapping[str, Any], covered: float) -> dict[str, Any]:
         return dict(part)
     result = {**part, "base_color": _darker(part["base_color"])}
     if "roughness" in part:
-        result |= {"roughness": _times(part["roughness"], 1.0 - covered * FILM_SMOOTHS), "eta": WATER_IOR}
+        rough, factor = part["roughness"], 1.0 - covered * FILM_SMOOTHS
+        rough = _dimmed(rough, factor) if isinstance(rough, Mapping) else rough * factor
+        result |= {"roughness": rough, "eta": WATER_IOR}
     return result | {"clearcoat": water.COAT * covered, "clearcoat_roughness": water.COAT_ROUGHNESS}
 
 
@@ -52,13 +53,11 @@ def _darker(colour: Mapping[str, Any]) -> dict[str, Any]:
     if colour["type"] == "rgb":
         return {**colour, "value": (factor * np.asarray(colour["value"], dtype=np.float64)).tolist()}
     if colour["bitmap"].dtype != np.uint8:
-        return dict(_times(colour, factor))
+        return _dimmed(colour, factor)
     codes = np.round(255.0 * srgb_encode(SRGB_TO_LINEAR * np.float32(factor))).astype(np.uint8)
     return {**colour, "bitmap": codes[colour["bitmap"]]}
 
 
-def _times(value: Any, factor: float) -> Any:
-    """A number, or the texels of a picture, times a factor."""
-    if not isinstance(value, Mapping):
-        return value * factor
-    return {**value, "bitmap": (value["bitmap"] * factor).astype(value["bitmap"].dtype)}
+def _dimmed(picture: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    """A picture with its texels times a factor."""
+    return {**picture, "bitmap": (picture["bitmap"] * factor).astype(picture["bitmap"].dtype)}

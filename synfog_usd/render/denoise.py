@@ -297,12 +297,14 @@ def _clean_surface(
 ) -> FloatArray:
     """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1)."""
     dimming, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
-    seen = image / dimming
-    visible = seen[through[..., 0] >= FAINT_SURFACE]  # a horizon behind fog is black, and says nothing of the street
-    most = np.float32(BRIGHT * _typical(visible if visible.size else seen))
+    undimmed = image / dimming
+    visible = undimmed[
+        through[..., 0] >= FAINT_SURFACE
+    ]  # a horizon behind fog is black, and says nothing of the street
+    most = np.float32(BRIGHT * _typical(visible if visible.size else undimmed))
     guiding = _as_guides(1.0 - trusted * (1.0 - albedo), trusted * normal)
-    light = _clean(np.minimum(seen, most), guiding, network=network)
-    light += np.maximum(seen - most, 0.0)
+    light = _clean(np.minimum(undimmed, most), guiding, network=network)
+    light += np.maximum(undimmed - most, 0.0)
     return dimming * light
 
 

@@ -163,10 +163,10 @@ def corners(x: Array, y: Array, heading: Array, behind_m: float, half_m: Sequenc
     )
 
 
-def meet(left: Array, right: Array) -> Flags:
+def meet(here: Array, area: Array) -> Flags:
     """(F,) whether two rectangles have a point in common, frame by frame: no side of either parts them."""
-    apart = np.zeros(len(left), dtype=bool)
-    for first, second in ((left, right), (right, left)):
+    apart = np.zeros(len(here), dtype=bool)
+    for first, second in ((here, area), (area, here)):
         for side in (first[:, 1] - first[:, 0], first[:, 2] - first[:, 1]):
             a, b = (np.einsum("fij,fj->fi", shape, side) for shape in (first, second))
             apart |= (a.max(axis=1) < b.min(axis=1)) | (b.max(axis=1) < a.min(axis=1))
