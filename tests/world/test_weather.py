@@ -155,7 +155,8 @@ def motorway(tmp_path_factory):
 
 def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
     """At the ends of a clip: its fogs are nested or apart, each cloud is about what is behind its vehicle, and heavier
-    rain makes it denser; snow, fog and a mixture have none.  The wind carries one field of patches, of the same mean.
+    rain makes it denser; snow has none.  In fog of 300 m it has that too, on the mean over the height in which it falls
+    by e.  The wind carries one field of patches, of the same mean.
     """
     spec, path = motorway
     usd = open_stage(path)
@@ -169,7 +170,7 @@ def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
         select(usd, fog=fog)
         prims = [prim for prim in usd.GetPrimAtPath("/World/Fog").GetChildren() if prim.GetName().startswith("Spray")]
         dense[fog] = np.array([prim.GetAttribute("synfog:fog:sigma_t").Get(0.0) for prim in prims])
-    assert {fog for fog, values in dense.items() if len(values)} == {"rain10", "rain25"}
+    assert {fog for fog, values in dense.items() if len(values)} == {"rain10", "rain25", "rain10-mor300"}
     assert np.all(dense["rain25"] > 1.2 * dense["rain10"])
     select(usd, fog="rain10", lighting="sky")
     behind = clouds(spec.placed, spec.view, spec.falls["rain10"])
@@ -186,3 +187,8 @@ def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
             apart = np.linalg.norm(ball.boundary.to_world[:3, 3] + origin - place)
             assert apart == pytest.approx(cloud.behind_m, abs=1e-3)
             assert fogs[ball.parent].path == "/World/Fog/Global"
+    select(usd, fog="rain10-mor300")
+    ball = next(volume for volume in translate(usd).fog if "Spray" in volume.path)
+    up = np.linspace(0.0, ball.medium.scale_height_m, 1001) + ball.boundary.to_world[2, 3]
+    beside = ball.medium.sigma_t(up).mean() - dense["rain10-mor300"][0] * (1.0 - np.exp(-1.0)) / np.e
+    assert beside == pytest.approx(-np.log(0.05) / 300.0, rel=0.01)

@@ -204,7 +204,7 @@ class NextEvent:
             reach_lamp *= self.medium.gap(ray.o, ray.d, near, dr.norm(where - ray.o), sampler, free)
         light = dr.select(free, throughput * self.groups.light(colour, group) * reach_lamp, self.bands.black())
         if self.bands.coloured:
-            light *= self.bands.scattered() * self.bands.fade(
+            light *= self.bands.scattered(self.medium, where) * self.bands.fade(
                 self.medium.optical_depth(ray.o, ray.d, 0.0, dr.norm(where - ray.o))
             )
         return light, group

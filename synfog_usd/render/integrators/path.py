@@ -297,7 +297,8 @@ class FogPath:
                     ray.o, ray.d, near, dr.maximum(dr.minimum(dr.minimum(flight, end), far), near)
                 )
                 throughput *= bands.fade(tau_to_end)
-                throughput = dr.select(medium_scattered, throughput * bands.scattered(), throughput)
+                scatters = bands.scattered(medium, ray(flight))
+                throughput = dr.select(medium_scattered, throughput * scatters, throughput)
             unscattered = active & ~medium_scattered
             if dr.hint(inscattered, mode="scalar"):
                 unscattered &= ~at_eye
@@ -353,7 +354,7 @@ class FogPath:
                 )
             value, gain = bands.reflectance(reflected, reading), bands.reflectance(onward, reading)
             if dr.hint(self.foggy, mode="scalar"):
-                phase_value = medium.phase.value(dr.dot(ray.d, chosen.direction))
+                phase_value = medium.phase_value(vertex.p, dr.dot(ray.d, chosen.direction))
                 value = dr.select(medium_scattered, bands.even(mi.Color3f(phase_value)), value)
                 pdf = dr.select(medium_scattered, phase_value, pdf)
             if dr.hint(asks.at_surfaces or asks.importance is not None, mode="scalar"):
@@ -384,7 +385,7 @@ class FogPath:
                 prev_weighed = dr.select(passed, prev_weighed, dr.select(lit, picks.total, 0.0))
             next_without_nee = mi.Bool(False)
             if dr.hint(self.foggy, mode="scalar"):
-                wo, phase_pdf = medium.phase.sample(ray.d, sampler.next_2d(medium_scattered))
+                wo, phase_pdf = medium.phase_sample(vertex.p, ray.d, sampler.next_2d(medium_scattered))
                 direction, next_pdf = (
                     dr.select(medium_scattered, wo, direction),
                     dr.select(medium_scattered, phase_pdf, next_pdf),
@@ -469,5 +470,5 @@ def _rr_prob(medium: Medium) -> float:
     for volume in medium.volumes:
         across = 2.0 * np.linalg.norm(volume.boundary.to_world[:3, :3], axis=0).min()
         thickest = max(thickest, volume.medium.mean_sigma_t_per_m * across)
-    g = medium.volumes[0].medium.phase_function.mean_cosine if medium.volumes else 0.0
+    g = min((volume.medium.phase_function.mean_cosine for volume in medium.volumes), default=0.0)
     return 1.0 - 0.5 / (10.0 + (1.0 - g) * thickest**2)

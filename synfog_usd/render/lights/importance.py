@@ -81,7 +81,8 @@ class Importance:
         angle = np.linspace(0.0, np.pi, 721)
         value = np.full_like(angle, 1.0 / (4.0 * np.pi))
         if medium.foggy:
-            value = np.array(medium.phase.value(mi.Float(np.cos(angle).astype(np.float32))), dtype=np.float64)
+            cosine = mi.Float(np.cos(angle).astype(np.float32))
+            value = np.mean([np.array(phase.value(cosine), dtype=np.float64) for phase in medium.phases], axis=0)
         beyond = np.r_[np.cumsum((0.5 * (value[1:] + value[:-1]) * np.diff(angle))[::-1])[::-1], 0.0]
         scattered = np.maximum(beyond, 1e-3 * beyond[0]) / np.interp(0.05, angle, beyond)
         kinds: dict[tuple[Any, ...], int] = {}

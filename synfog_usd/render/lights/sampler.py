@@ -180,7 +180,7 @@ class LightSampler:
                 square = dr.maximum(dr.squared_norm(between), 1e-8)
                 towards = between * dr.rsqrt(square)
                 through = dr.exp(-medium.optical_depth_inside(origin, direction, begin, distance))
-                strength = self.sent(row, towards) * medium.phase.value(-dr.dot(towards, direction))
+                strength = self.sent(row, towards) * medium.phase_value(place, -dr.dot(towards, direction))
                 value = row.colour * (strength * through * medium.scattering(place) / square)
                 dimmed = mi.luminance(value) * dr.exp(-medium.media[0].mean_sigma_t * dr.sqrt(square))
                 candidate = Candidate(place, lamp, value, row.group, dimmed)

@@ -26,7 +26,7 @@ from synfog_usd.render.sampling.sobol import unit
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
-    from mitsuba import Point3f, Vector3f
+    from mitsuba import Point2f, Point3f, Vector3f
 
     from synfog_usd.render.sampling.sobol import Sobol
 
@@ -42,8 +42,6 @@ def unsupported_fog(volumes: Sequence[FogVolume]) -> str:
     for volume in volumes:
         if volume.boundary.kind == "mesh":
             return f"the boundary {volume.path} is a mesh, not a box or a sphere"
-    if len({volume.medium.phase_function for volume in volumes}) > 1:
-        return f"the fogs {', '.join(volume.path for volume in volumes)} scatter by different phase functions"
     return ""
 
 
@@ -60,7 +58,7 @@ class Medium:
         self.foggy = any(volume.medium.sigma_t_per_m > 0.0 for volume in self.volumes)
         index = {id(volume): place for place, volume in enumerate(self.volumes)}
         around = [None if volume.parent is None else index.get(id(volumes[volume.parent])) for volume in self.volumes]
-        self.media = [_Volume(volume, scale) for volume in self.volumes]
+        self.media = [_Volume(volume, scale, number) for number, volume in enumerate(self.volumes)]
         self.parents = [None if parent is None else self.media[parent] for parent in around]
         self.order = sorted(range(len(self.volumes)), key=lambda place: _nesting(around, place))
         self.single = len(self.volumes) == 1 and self.volumes[0].medium.profile == "uniform"
@@ -70,7 +68,12 @@ class Medium:
             if parent is not None and parent.grid is not None:
                 parent.grid.holes.append(medium)
         if self.foggy:
-            self.phase = kernel_phase(self.volumes[0].medium.phase_function)
+            records = [volume.medium.phase_function for volume in self.volumes]
+            distinct = list(dict.fromkeys(records))
+            self.phases, self._phase_of = (
+                [kernel_phase(record) for record in distinct],
+                list(map(distinct.index, records)),
+            )
             self.one_albedo = len({volume.medium.albedo for volume in self.volumes}) == 1
 
     def intersect(self, origin: Point3f, direction: Vector3f) -> tuple[Float, Float]:
@@ -262,7 +265,23 @@ class Medium:
             return self.media[0].albedo
         return self._innermost(place, lambda medium: medium.albedo, self.media[0].albedo)
 
-    def _innermost(self, place: Point3f, value: Callable[[_Volume], Float], outside: Float) -> Float:
+    def phase_value(self, place: Point3f, cosine: Float) -> Float:
+        """Density [1/sr] at points in fog at the cosine between the directions of travel."""
+        return self._by_phase(place, [phase.value(cosine) for phase in self.phases])
+
+    def phase_sample(self, place: Point3f, forward: Vector3f, u: Point2f) -> tuple[Vector3f, Float]:
+        """A direction of travel after scattering at points in fog, and its density [1/sr]."""
+        directions, densities = zip(*(phase.sample(forward, u) for phase in self.phases), strict=True)
+        return self._by_phase(place, directions), self._by_phase(place, densities)
+
+    def _by_phase(self, place: Point3f, options: Sequence[Any]) -> Any:
+        return options[0] if len(options) == 1 else self.by_volume(place, [options[at] for at in self._phase_of])
+
+    def by_volume(self, place: Point3f, options: Sequence[Any]) -> Any:
+        """Of values by volume those of the innermost one around points in fog."""
+        return self._innermost(place, lambda medium: options[medium.number], options[0])
+
+    def _innermost(self, place: Point3f, value: Callable[[_Volume], Any], outside: Any) -> Any:
         result = outside
         for at in self.order:
             medium = self.media[at]
@@ -278,8 +297,8 @@ def _nesting(around: Sequence[int | None], place: int) -> int:
 class _Volume:
     """One volume's numbers, out of the compiler's sight so that others need no new kernel."""
 
-    def __init__(self, volume: FogVolume, scale: float) -> None:
-        mi = backend.mitsuba()
+    def __init__(self, volume: FogVolume, scale: float, number: int) -> None:
+        mi, self.number = backend.mitsuba(), number
         to_world, self.ball = mi.ScalarTransform4f(volume.boundary.to_world), volume.boundary.kind == "sphere"
         self.to_local = mi.Transform4f(to_world.inverse())
         dr.make_opaque(self.to_local)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import drjit as dr
 import numpy as np
@@ -30,7 +30,9 @@ from synfog_usd.render.spectra.bsdfs import SpectralBsdfs
 
 if TYPE_CHECKING:
     from drjit.auto.ad import ArrayXf, Bool, Float, UInt32
-    from mitsuba import BSDFPtr, Color3f, Spectrum
+    from mitsuba import BSDFPtr, Color3f, Point3f, Spectrum
+
+    from synfog_usd.render.media.medium import Medium
 
     SampledSpectrum: TypeAlias = ArrayXf
     """Light, or what a path leaves of it, in all of its bands; R, G and B are a `Color3f`."""
@@ -104,7 +106,7 @@ class Bands:
         coloured: whether extinction or albedo differs between bands.
 
     Raises:
-        ParameterError: fogs whose bands differ in different ways.
+        ParameterError: fogs whose wavelength bands differ in different ways; R, G and B have one extinction then.
     """
 
     def __init__(self, count: int = RGB, fog: Sequence[FogVolume] = (), emissions: Sequence[Array] = ()) -> None:
@@ -128,23 +130,27 @@ class Bands:
 
     def _colour(self, fog: Sequence[FogVolume]) -> None:
         """What each band loses and scatters, beside the clearest one."""
-        self.clearest, self.coloured = 1.0, False
+        self.clearest, self.coloured, self._by_volume = 1.0, False, dict[int, Any]()
         media = [volume.medium for volume in fog if volume.medium.sigma_t_per_m > 0.0]
         if self.is_rgb and all(medium.colours is None for medium in media):
             return
-        curves = {self._curve(medium) for medium in media}
-        if len(curves) > 1:
+        curves, number = {self._curve(medium) for medium in media}, backend.mitsuba().Float
+        if len(curves) > 1 and not self.is_rgb:
             raise ParameterError(
-                "fogs that differ in their Angstrom exponents or kinds: wavelength bands take one; R, G and B take any "
-                "exponents"
+                "fogs that differ in their Angstrom exponents or kinds: wavelength bands take one; R, G and B take any"
             )
         if not curves or curves == {(1.0,) * 2 * self.count}:
             return
         extinction, tint = np.array(curves.pop()).reshape(2, -1)
+        if curves:  # one extinction for all
+            extinction, tint = np.ones((2, self.count))
+            for volume in fog:
+                albedo = self._curve(volume.medium)[self.count :]
+                self._by_volume[id(volume)] = self.of([dr.opaque(number, value) for value in albedo])
         self.clearest, self.coloured = float(extinction.min()), True
         self.ratio = extinction / self.clearest
-        self._more = [dr.opaque(backend.mitsuba().Float, value) for value in self.ratio - 1.0]
-        self._tint = [] if np.all(tint == 1.0) else [dr.opaque(backend.mitsuba().Float, value) for value in tint]
+        self._more = [dr.opaque(number, value) for value in self.ratio - 1.0]
+        self._tint = [] if np.all(tint == 1.0) else [dr.opaque(number, value) for value in tint]
 
     def _curve(self, medium: FogMedium) -> tuple[float, ...]:
         """Extinction of each band, and then its albedo, over those at 550 nm."""
@@ -208,8 +214,10 @@ class Bands:
         """What each band loses over an optical depth beyond the clearest band's exp(-tau)."""
         return self._array([dr.exp(-more * optical_depth) for more in self._more])
 
-    def scattered(self) -> SampledSpectrum:
-        """What each band scatters over what the clearest would with the albedo at 550 nm."""
+    def scattered(self, medium: Medium, place: Point3f) -> SampledSpectrum:
+        """What each band scatters at points in fog over what the clearest would with the albedo at 550 nm."""
+        if self._by_volume:
+            return cast("SampledSpectrum", medium.by_volume(place, [self._by_volume[id(v)] for v in medium.volumes]))
         ratios = [more + 1.0 for more in self._more]
         return self._array(
             [ratio * tint for ratio, tint in zip(ratios, self._tint, strict=True)] if self._tint else ratios

@@ -6,12 +6,13 @@ Takes speeds, a depth of water and placements; gives ellipsoids of drops.  Knows
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from synfog_usd.base.arrays import Array, Flags
+from synfog_usd.base.numbers import LEAST_MOR_M
 from synfog_usd.fog import Fog
 from synfog_usd.world.library import nominal
 from synfog_usd.world.shapes import shift, turn
@@ -32,6 +33,8 @@ DROP_M, DROP_AT_M_S = 8e-4, 6.0
 FALL_S, SHORTEST_M, LONGEST_M, ASIDE_M = 0.5, 2.0, 15.0, 0.7
 """Time for which drops stay up, how far behind a vehicle its cloud reaches, and to each side: estimates by eye."""
 SLOWEST_M_S = 5.0
+DENSEST = np.e / (1.0 - 1.0 / np.e)
+"""Density at a cloud's lowest point over the mean from the ground to where it has fallen by e."""
 ROOM_M = 2.5
 """Half side of the square about a camera that no cloud may reach: rays begin in one medium."""
 
@@ -102,15 +105,21 @@ class Cloud:
 
     def densest(self, speed_m_s: npt.ArrayLike, depth_m: float) -> Array:
         """Extinction [1/m] at its lowest point, below the ground; the mean over its height is that of the spray."""
-        return np.e / (1.0 - 1.0 / np.e) * extinction(speed_m_s, depth_m, self.tyre_m)
+        return DENSEST * extinction(speed_m_s, depth_m, self.tyre_m)
+
+
+def also(fog: Fog) -> str:
+    """What is in the air beside rain and snow, as it thins with spray's height to the same mean: a medium's `also`."""
+    seen = {part: part.mor_m for part in (fog, *fog.also) if part.mor_m is not None}
+    return "+".join(
+        replace(part, mor_m=max(round(m / DENSEST, 2), LEAST_MOR_M), also=()).name for part, m in seen.items()
+    )
 
 
 def clouds(placed: Sequence[Placement], view: View, fog: Fog) -> list[Cloud]:
-    """Of the vehicles that go in rain, those nearest before a camera first, none of which meets another or the camera;
-    none where something else is in the air, whose phase function is another.
-    """
+    """Of the vehicles that go in rain, those nearest before a camera first; none meets another or the camera."""
     result: list[Cloud] = []
-    if fog.kind != "rain" or fog.also:
+    if "rain" not in fog.rates:
         return result
     areas = [around(np.array([view.x]), np.array([view.y]))]
     moving = [

@@ -160,7 +160,7 @@ def _author_wet(stage: Usd.Stage, spec: WorldSpec, variant: str, fog: Fog, asset
                 mesh = author_mesh(stage, prim.GetPath().AppendChild(name), _small(part)).GetPrim()
                 UsdShade.MaterialBindingAPI.Apply(mesh).Bind(look)
         for number, cloud in enumerate(spray.clouds(spec.placed, spec.view, fog), 1):
-            _author_spray(stage, Sdf.Path(spray.PATH.format(number)), spec, cloud, spray_water(spec, fog))
+            _author_spray(stage, Sdf.Path(spray.PATH.format(number)), spec, cloud, fog)
     choices.SetVariantSelection(before)
 
 
@@ -170,8 +170,8 @@ def spray_water(spec: WorldSpec, fog: Fog) -> float:
     return water.film_m(paved, fog.rates["rain"], spec.road if isinstance(spec.road, Road) else None)
 
 
-def _author_spray(stage: Usd.Stage, path: Sdf.Path, spec: WorldSpec, cloud: spray.Cloud, depth_m: float) -> None:
-    """A ball of drops that scatter as rain's do: one phase function is all that a fast path through fog knows."""
+def _author_spray(stage: Usd.Stage, path: Sdf.Path, spec: WorldSpec, cloud: spray.Cloud, fog: Fog) -> None:
+    """A ball of drops that scatter as rain's do, in what else is in the air."""
     ball, types, p = UsdGeom.Sphere.Define(stage, path), Sdf.ValueTypeNames, spec.placed[cloud.vehicle]
     ball.CreateRadiusAttr(1.0)
     ball.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(-1), Gf.Vec3f(1)]))
@@ -183,8 +183,11 @@ def _author_spray(stage: Usd.Stage, path: Sdf.Path, spec: WorldSpec, cloud: spra
         ("medium:kind", types.Token, "rain"),
         ("fog:profile", types.Token, "exponential"),
         ("fog:scaleHeight", types.Float, cloud.half_m[2]),
-        ("fog:sigma_t", types.Float, float(cloud.densest(p.speed_m_s or 0.0, depth_m))),
+        ("fog:sigma_t", types.Float, float(cloud.densest(p.speed_m_s or 0.0, spray_water(spec, fog)))),
+        ("medium:also", types.String, spray.also(fog)),
     ):
+        if value == "":
+            continue
         varies = Sdf.VariabilityUniform if kind == types.Token else Sdf.VariabilityVarying
         prim.CreateAttribute(f"synfog:{name}", kind, False, varies).Set(value)
 
