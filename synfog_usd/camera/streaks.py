@@ -39,7 +39,8 @@ class Streaks:
         place_px: (N, 2) column and row from the picture's corner [px].
         speed_px_s: (N, 2) across the picture [px/s].
         area_px: (N,) that each drop covers [px^2].
-        width_px: (N,) diameter of the drop [px].
+        width_px: (N,) diameter of the drop [px]; of an ellipse, whose area is less than the disc's, the longer one.
+        turn_rad: (N,) angle from the rows to that one [rad].
         blur_px: (N,) diameter of the disc of what is out of focus [px].
         distance_m: (N,) from the camera [m].
         light: (N, C) radiance of each drop beside what all of them send, or (N, 0).
@@ -49,6 +50,7 @@ class Streaks:
     speed_px_s: Array
     area_px: Array
     width_px: Array
+    turn_rad: Array
     blur_px: Array
     distance_m: Array
     light: Array
@@ -102,6 +104,8 @@ def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Floa
     meets = np.all((middle + reach > 0.0) & (middle - reach < (width, height)), axis=1)
     middle, way, wide, far = middle[meets], way[meets], wide[meets], streaks.distance_m[meets]
     discs = np.stack([streaks.width_px, streaks.blur_px], axis=1)[meets]
+    flat = (streaks.area_px / (math.pi / 4.0 * streaks.width_px**2))[meets]
+    turn = np.exp(1j * streaks.turn_rad[meets])
     factors = factors[meets]
     cover, area = (streaks.area_px * stretched)[meets], (long[meets] + wide + 1.0) * np.maximum(wide, 1.0)
     count = np.where(wide > 1.0, PER_PX2 * area, area)
@@ -114,7 +118,8 @@ def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Floa
         these = some[drop]
         step, thick = (point + 0.5) / count[these], wide[these] > 1.0
         along = np.where(thick, point * math.sqrt(2.0) % 1.0, step) - 0.5
-        aside = np.where(thick, _in_discs(discs[these], step, point), 0.0)
+        drops, blur = _in_discs(discs[these], step, point).T
+        aside = np.where(thick, (drops.real + 1j * flat[these] * drops.imag) * turn[these] + blur, 0.0)
         x = middle[these, 0] + way[these, 0] * along + aside.real - 0.5
         y = middle[these, 1] + way[these, 1] * along + aside.imag - 0.5
         together = not faint[some[0]]
@@ -123,10 +128,10 @@ def depth_of(streaks: Streaks, shutter: Shutter, distance_m: FloatArray) -> Floa
 
 
 def _in_discs(diameters: Array, step: Array, point: Indices) -> npt.NDArray[np.complex128]:
-    """Points of (N, 2) two discs around 0, the sums of one place in each: what is even in a drop is out of focus."""
+    """(N, 2) points of two discs around 0, whose sums are even in a drop that is out of focus."""
     radii = 0.5 * diameters * np.sqrt(np.stack([step, point * math.sqrt(3.0) % 1.0], axis=1))
     turns = np.stack([GOLDEN_RAD * point, 2.0 * math.pi * math.sqrt(7.0) * point], axis=1)
-    return np.asarray((radii * np.exp(1j * turns)).sum(axis=1))
+    return np.asarray(radii * np.exp(1j * turns))
 
 
 def _batches(count: Indices, apart: int) -> Iterator[slice]:

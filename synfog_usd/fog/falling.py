@@ -88,16 +88,18 @@ class Drops:
         velocity_m_s: (N, 3) of the air's axes [m/s].
         diameter_m: (N,) [m].
         share: (N,) of the mean cross-section that a tumbling flake shows [1]; 1 for drops.
+        turn_rad: (N,) of a flake about the line of sight [rad]; 0 for drops.
     """
 
     place_m: Array
     velocity_m_s: Array
     diameter_m: Array
     share: Array
+    turn_rad: Array
 
     def __getitem__(self, keep: Flags) -> Drops:
         """Those for which (N,) `keep` holds."""
-        return Drops(self.place_m[keep], self.velocity_m_s[keep], self.diameter_m[keep], self.share[keep])
+        return Drops(*(values[keep] for values in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ def falling(sizes: SizeClasses, reach_m: Array, view: Cone, *, time_s: float, wi
         for index, reach in enumerate(reach_m)
         if reach > NEAR_M
     ]
-    empty = Drops(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    empty = Drops(np.zeros((0, 3)), np.zeros((0, 3)), *np.zeros((3, 0)))
     return replace(
         empty, **{name: np.concatenate([getattr(part, name) for part in [empty, *parts]]) for name in vars(empty)}
     )
@@ -166,7 +168,7 @@ def _of_class(
     velocity = np.zeros((count, 3)) + wind_m_s
     velocity[:, 2] -= speed
     place += velocity * time_s
-    share = np.ones(count)
+    share, turn = np.ones(count), np.zeros(count)
     if sizes.sway:
         rate, phase = rng.uniform(4.0, 12.0, count), rng.uniform(0.0, 2.0 * math.pi, count)
         angle = rate * time_s + phase
@@ -176,13 +178,14 @@ def _of_class(
         velocity[:, 0] += aside * np.cos(angle)
         velocity[:, 1] += aside * np.sin(angle)
         share += 0.4 * np.sin(2.0 * angle + rng.uniform(0.0, 2.0 * math.pi, count))
+        turn = rng.uniform(0.0, math.pi, count)
     low = view.eye_m + centre - 0.5 * period
     place = (place - low) % period + (centre - 0.5 * period)
     distance = np.sqrt(np.einsum("ij,ij->i", place, place))
     ahead = place @ view.axis
     aside_m = np.sqrt(np.maximum(distance * distance - ahead * ahead, 0.0))
     in_view = aside_m * math.cos(view.half_rad) - ahead * math.sin(view.half_rad) < MARGIN_M
-    drops = Drops(place, velocity, diameter, share)
+    drops = Drops(place, velocity, diameter, share, turn)
     return drops[(distance >= NEAR_M) & (distance < reach_m) & in_view]
 
 

@@ -10,9 +10,9 @@ from synfog_usd.camera.streaks import Shutter, Streaks, depth_of
 SKY = np.full((120, 80), np.inf, np.float32)
 
 
-def one(place=(40.0, 60.0), speed=(0.0, 0.0), width=0.5, blur=0.0, distance=5.0):
-    area = math.pi / 4 * width**2
-    values = (np.array([value], dtype=float) for value in (place, speed, area, width, blur, distance))
+def one(place=(40.0, 60.0), speed=(0.0, 0.0), width=0.5, blur=0.0, distance=5.0, flat=1.0, turn=0.0):
+    area = flat * math.pi / 4 * width**2
+    values = (np.array([value], dtype=float) for value in (place, speed, area, width, turn, blur, distance))
     return Streaks(*values, np.zeros((1, 0)))
 
 
@@ -48,6 +48,17 @@ def test_an_opaque_flake_hides_what_is_behind_it_and_a_blur_lets_it_through():
         here = (away > low) & (away < high)
         wanted = np.mean([(np.abs(fine - far) < 16.0).mean() / 4.0 for far in away[here]])
         assert blurred[here].mean() == pytest.approx(wanted, abs=0.008)
+
+
+def test_a_flake_that_turned_its_edge_is_an_ellipse():
+    """Of 24 by 12 px, its longer axis 30 degrees from the rows down: variances a^2 / 16 along its axes, within 2 %."""
+    covered = cover(one(width=24.0, flat=0.5, turn=math.pi / 6), Shutter(0.01))
+    assert covered.sum() == pytest.approx(math.pi / 4 * 24.0 * 12.0, rel=0.01)
+    rows, columns = np.mgrid[:120, :80] + 0.5
+    along = np.exp(-1j * math.pi / 6) * (columns - 40.0 + 1j * (rows - 60.0))
+    for axis, wide in ((along.real, 24.0), (along.imag, 12.0)):
+        variance = (covered * axis**2).sum() / covered.sum() - 1.0 / 6.0  # of a point that four pixels share
+        assert variance == pytest.approx(wide**2 / 16.0, rel=0.02)
 
 
 def test_what_is_nearer_hides_a_drop():
@@ -97,7 +108,8 @@ def test_many_drops_leave_the_exponential_of_what_they_cover(width, blur, depth,
         place = rng.random((count, 2)) * (180, 220) - 50
         speed = np.column_stack([rng.normal(0.0, 100.0, count), rng.normal(1000.0, 150.0, count)])
         same = np.ones(count)
-        streaks = Streaks(place, speed, area * same, width * same, blur * same, 5.0 * same, np.zeros((len(same), 0)))
+        values = (value * same for value in (area, width, 0.0, blur, 5.0))
+        streaks = Streaks(place, speed, *values, np.zeros((len(same), 0)))
         free.append(np.exp(-depth_of(streaks, Shutter(0.02, readout_s=0.01), SKY)[:, :, 0]).mean(dtype=float))
     error = np.std(free, ddof=1) / math.sqrt(len(free))
     assert 4 * error < 0.01

@@ -183,7 +183,7 @@ def test_a_streak_is_exposure_times_speed_before_the_lens(velocity):
     scene = shot(rain()).scene
     view = Projection.of(replace(scene.camera, velocity_m_s=velocity))
     place = np.array([[0.5, 5.0, 0.0]])
-    drops = Drops(place, np.array([[0.0, 0.0, -6.49]]), np.array([2e-3]), np.ones(1))
+    drops = Drops(place, np.array([[0.0, 0.0, -6.49]]), np.array([2e-3]), np.ones(1), np.zeros(1))
     streaks = streaks_of(drops, view, 0.01, 0.002, math.inf)
     focal_px = WIDTH / 2 / math.tan(math.radians(25.0))
     across, down = streaks.speed_px_s[0] * 0.01
