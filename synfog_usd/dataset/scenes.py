@@ -50,6 +50,7 @@ class Scenes:
     def of(self, shot: Shot) -> SceneDict:
         """The scene of a shot; what it was translated from is held, unless it serves no other shot."""
         from synfog_usd import stage as usd
+        from synfog_usd.dataset.wet import rained_on
         from synfog_usd.translate import Exchange, StageView, outdoors
 
         if shot in self.known:
@@ -72,16 +73,10 @@ class Scenes:
         if not fresh or plan.camera != first:
             scene = entry.within(self.stage, fog=shot.fog_override, camera=plan.camera)
         if scene is None:
-            return self._seen(Exchange(self.stage, replace(view, camera=plan.camera)).scene, shot)
-        self.known[shot] = self._seen(scene, shot)
+            scene = Exchange(self.stage, replace(view, camera=plan.camera)).scene
+            return self.through_lens(rained_on(scene))
+        self.known[shot] = self.through_lens(rained_on(scene))
         return self.known[shot]
-
-    def _seen(self, scene: SceneDict, shot: Shot) -> SceneDict:
-        """A shot's scene on wet roads, where rain is asked for that the stage does not have, through the lens."""
-        from synfog_usd.dataset.wet import rained_on
-
-        rate_mm_h = shot.fog_override.rates.get("rain") if shot.fog_override else None
-        return self.through_lens(scene if rate_mm_h is None else rained_on(scene, rate_mm_h))
 
     def through_lens(self, scene: SceneDict) -> SceneDict:
         """The scene through the graph's fisheye; or through a wider and denser camera, where its lens distorts and
@@ -120,15 +115,7 @@ class Scenes:
         camera is guessed.
         """
         all_notes = (note for shot in _each_once(todo) for note in self.told.get(shot, ()))
-        return tuple(dict.fromkeys([*all_notes, *_wetted(todo), *_guessed(self.graph)]))
-
-
-def _wetted(todo: Sequence[Shot]) -> list[Note]:
-    from synfog_usd.base.notes import Note
-
-    rained = dict.fromkeys(shot.fog for shot in todo if shot.fog_override and "rain" in shot.fog_override.rates)
-    text = "wets what is labelled road, sidewalk or parking; `compose --fog` draws puddles and spray too"
-    return [Note("info", "", f"{fog} {text}") for fog in rained]
+        return tuple(dict.fromkeys([*all_notes, *_guessed(self.graph)]))
 
 
 def _guessed(graph: NodeGraph | None) -> list[Note]:

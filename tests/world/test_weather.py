@@ -10,6 +10,9 @@ from pxr import Usd, UsdGeom, UsdShade
 import synfog_usd as sf
 from synfog_usd.base.errors import RecipeError
 from synfog_usd.dataset.wet import rained_on
+from synfog_usd.fog import FogVolume
+from synfog_usd.fog.drops import GammaSizes
+from synfog_usd.fog.kinds import medium_of
 from synfog_usd.scene import Instance, testing
 from synfog_usd.stage import open_stage, select
 from synfog_usd.translate import translate
@@ -83,25 +86,38 @@ def test_the_road_is_wet_where_it_rains_and_there_alone(stage):
     assert look(usd, "haze2000", "asphalt_lane") == dry
 
 
-def test_rain_wets_the_roads_of_a_stage_that_has_none():
-    """By its label a road gets as dark as asphalt under a film of water, 0.047 of 0.085, and shines; a wall stays."""
+def test_rain_wets_the_roads_that_lie_in_it_and_are_dry(stage):
+    """By its label a road gets as dark as asphalt under a film of water, 0.047 of 0.085, and shines; a wall stays, and
+    a road beside the rain.  More water of another distribution is heavier rain.  A recipe's wet road is wet already.
+    """
     surface = {"type": "preview_surface", "base_color": {"type": "rgb", "value": [0.085] * 3}, "roughness": 0.8}
-    shape = {"type": "rectangle", "bsdf": {"type": "ref", "id": "mat_1"}}
-    names = {("shape_1",): Instance(1, "/Road", "road"), ("shape_2",): Instance(2, "/Wall", "building")}
-    world = {
-        "mat_1": surface,
-        "mat_2": surface,
-        "shape_1": shape,
-        "shape_2": {**shape, "bsdf": {**shape["bsdf"], "id": "mat_2"}},
-    }
-    dry = replace(
-        testing.scene(world), instances=tuple(names.values()), instance_of={key: i.id for key, i in names.items()}
-    )
-    wet = rained_on(dry, 10.0).world
-    assert wet["mat_2"] is surface
-    assert wet["mat_1"]["base_color"]["value"][0] == pytest.approx(0.047, abs=0.002)
-    assert wet["mat_1"]["roughness"] < 0.6 < 0.8 and wet["mat_1"]["clearcoat"] > 0.2
-    assert rained_on(rained_on(dry, 10.0), 10.0).world == wet
+    labels = {"Road": "road", "Wall": "building", "Beside": "parking"}
+    names = {(f"shape_{n}",): Instance(n, f"/{name}", label) for n, (name, label) in enumerate(labels.items(), 1)}
+    world = {f"mat_{n}": surface for n in (1, 2, 3)}
+    for n, x in ((1, 0.0), (2, 0.0), (3, 40.0)):
+        corners = np.array([[x, 0.0, -2.0], [x + 9.0, 0.0, -2.0], [x, 9.0, -2.0]])
+        world[f"shape_{n}"] = {"type": "mesh", "positions": corners, "bsdf": {"type": "ref", "id": f"mat_{n}"}}
+
+    def wet(medium):
+        rain = FogVolume("/Rain", testing.box(20.0, (0.0, 0.0, 19.0)), medium)
+        scene = testing.scene(world, [rain])
+        scene = replace(scene, instances=tuple(names.values()), instance_of={key: i.id for key, i in names.items()})
+        return rained_on(scene)
+
+    rained = wet(medium_of("rain", rate_mm_h=10.0))
+    assert [rained.world[f"mat_{n}"] is surface for n in (1, 2, 3)] == [False, True, True]
+    look = rained.world["mat_1"]
+    assert look["base_color"]["value"][0] == pytest.approx(0.047, abs=0.002)
+    assert look["roughness"] < 0.6 < 0.8 and look["clearcoat"] > 0.2
+    assert rained_on(rained) is rained and rained.notes[-1].path == "/Rain"
+    heavy = wet(medium_of("rain", sizes=GammaSizes(16000.0, 0.0, 4.1 * 10.0**-0.21))).world["mat_1"]
+    assert look["clearcoat"] < heavy["clearcoat"]
+    dry = wet(medium_of("rain", mor_m=2000.0))
+    assert not dry.notes and dry.world["mat_1"] is surface
+    _, usd = stage
+    select(usd, fog="rain10", lighting="sky")
+    drawn = translate(usd)
+    assert rained_on(drawn) is drawn
 
 
 def test_rain_falls_from_an_overcast_sky_and_drivers_have_their_lamps_on(stage):
