@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.base.image import Image
 from synfog_usd.base.progress import Progress, within
 from synfog_usd.base.seeds import seed32
-from synfog_usd.dataset.plan import TOGETHER, BakePlan, Shot
+from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot
 from synfog_usd.dataset.scenes import cleared, pinhole_of
 from synfog_usd.dataset.session import Renderer, Session
 
@@ -143,7 +143,9 @@ class RenderedShot:
 
     @property
     def mor_m(self) -> float | None:
-        """Visibility [m] of the outermost fog, or None."""
+        """Visibility [m] of the outermost fog; None in clear air, whatever plume is in it."""
+        if self.shot.fog == CLEAR:
+            return None
         return next((volume.medium.visibility_m for volume in self.scene.fog if volume.parent is None), None)
 
 

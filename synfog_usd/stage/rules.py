@@ -128,11 +128,9 @@ def _camera_and_fog(context: _Context) -> Iterator[Finding]:
     if not eyes:
         yield finding("no-camera", "", "the stage has no camera; add one, or nothing can be rendered")
     if not context.fog:
-        yield finding(
-            "no-fog",
-            "",
-            f"the stage has no fog; bake --fog mor150 adds some, and a closed prim with {API_NAME} says where",
-        )
+        if not any(prim.GetTypeName() == "Volume" for prim in context.prims):  # of which the translation tells
+            text = f"the stage has no fog; bake --fog mor150 adds some, and a closed prim with {API_NAME} says where"
+            yield finding("no-fog", "", text)
         return
     boxes = [context.whole.ComputeWorldBound(prim) for prim in context.fog]
     for path in eyes:

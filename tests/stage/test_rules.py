@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdVol
 from support.looks import fill
 
 from synfog_usd.stage import check
@@ -120,6 +120,8 @@ def test_what_is_missing_is_found(sound):
     shader = fill(UsdShade.Shader.Define(stage, "/World/Glow"), id="UsdPreviewSurface")
     shader.CreateInput("emissiveColor", TYPES.Color3f).Set((0, 5, 0))
     assert found(stage) == {("no-camera", ""), ("no-fog", "")}
+    UsdVol.Volume.Define(stage, "/World/Bank")
+    assert found(stage) == {("no-camera", "")}
 
 
 def test_a_camera_outside_of_its_fog_and_a_solid_boundary_are_found(sound):
