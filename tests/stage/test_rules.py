@@ -121,7 +121,7 @@ def test_what_is_missing_is_found(sound):
     shader.CreateInput("emissiveColor", TYPES.Color3f).Set((0, 5, 0))
     assert found(stage) == {("no-camera", ""), ("no-fog", "")}
     UsdVol.Volume.Define(stage, "/World/Bank")
-    assert found(stage) == {("no-camera", "")}
+    assert found(stage) == {("no-camera", ""), ("unlabelled", "/World/Bank")}
 
 
 def test_a_camera_outside_of_its_fog_and_a_solid_boundary_are_found(sound):
