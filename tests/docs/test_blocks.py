@@ -8,6 +8,7 @@ of its page.  What a reader has, a stage or a picture of their own, is made by `
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
@@ -246,9 +247,17 @@ def test_yaml_loads(block, folders, monkeypatch):
 
 
 @in_language("usda")
-def test_usd_is_a_layer(block):
-    """Behind the line with which each layer begins."""
-    assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(f"#usda 1.0\n{block.text}")
+def test_usd_is_a_layer(block, tmp_path):
+    """Behind the line with which each layer begins; fog is baked, beside a sky and a camera, by our own model."""
+    text = f"#usda 1.0\n{block.text}"
+    assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(text)
+    if "SynFogMediumAPI" in text:
+        (tmp_path / "fog.usda").write_text(f'{text}\ndef Camera "Eye"\n{{\n}}\ndef DomeLight "Sky"\n{{\n}}\n')
+        words = ("--fog", "authored,rain10+mor300", "--resolution", "24x14", "--samples", "2", "-o", "out")
+        done = process("bake", "fog.usda", *words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        shots = json.loads((tmp_path / "out" / "bake.json").read_text())["shots"]
+        assert [shot["model"]["name"] for shot in shots] == ["path", "path"]
 
 
 @in_language("sh")
