@@ -71,7 +71,8 @@ HALF_GUIDED = 0.01
 BRIGHT = 1e4
 """Times the typical pixel's luminance beyond which light of surfaces is not denoised.
 
-Open Image Denoise returns a flat patch as bright as this with an error of 6 %, and a brighter one with more.
+Open Image Denoise returns a flat patch as bright as this with an error of 6 %, and a brighter one with more.  Of
+indirect light only what both halves have is so bright; the rest is fireflies.
 """
 
 BORDER_PX = 16
@@ -147,8 +148,12 @@ class Denoised:
         return total(self.components.values()) @ np.asarray(weights, dtype=np.float32)
 
 
+Halves = Callable[[], tuple[FloatArray, FloatArray]]
+"""Makes two halves of a component, (2, H, W, C): as they were sampled, and with fireflies spread out."""
+
+
 def denoise_halves(
-    halves: Mapping[str, Callable[[], FloatArray]],
+    halves: Mapping[str, Halves],
     guides: Guides,
     weights: npt.ArrayLike,
     *,
@@ -157,9 +162,12 @@ def denoise_halves(
 ) -> Denoised:
     """Clean a picture from two independent halves of its samples, and tell what is left.
 
+    Open Image Denoise knows fireflies by their brightness, and takes what is left of one that was cut for texture.  So
+    it gets the samples as they are.  What it errs in is judged by the light with fireflies spread out.
+
     Args:
-        halves: component -> what makes its (2, H, W, C), see `denoise`; they are made one after the other.  `LIT` is
-            part of `SURFACE` in the result.
+        halves: component -> what makes its halves, see `denoise`; they are made one after the other.  `LIT` is part of
+            `SURFACE` in the result.
         weights: (C,) of the channels in luminance.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
         progress: told after each component.
@@ -172,12 +180,17 @@ def denoise_halves(
     noisy = done = np.zeros((HALVES, *guides.transmittance.shape), dtype=np.float32)
     for index, (name, make) in enumerate(halves.items()):
         progress("denoising", index / len(halves))
-        finished = pair = make()
+        sampled, spread = make()
+        finished = pair = spread
         if name not in NOISELESS:
             seen = coarse if guides.in_squares and name not in (SURFACE, LIT) else guides
-            halves_seen = pair if seen is guides else np.stack([dualbuffer.binned(half, SHARE_PX) for half in pair])
-            cleaned = np.stack([denoise({name: half}, seen, quick=quick)[name] for half in halves_seen])
-            finished = dualbuffer.towards_truth(halves_seen, cleaned, weights, nearby=name == LIT)
+            if seen is coarse:
+                sampled, spread = (
+                    np.stack([dualbuffer.binned(half, SHARE_PX) for half in two]) for two in (sampled, spread)
+                )
+            least = {SURFACE: sampled.min(axis=0)}  # of LIT each half is right
+            cleaned = np.stack([denoise({name: half}, seen, quick=quick, least=least)[name] for half in sampled])
+            finished = dualbuffer.towards_truth(spread, cleaned, weights, nearby=name == LIT)
             if seen is coarse:
                 finished = np.stack([_fine_air(half, coarse, guides) for half in finished])
         noisy, done = noisy + pair @ weights, done + finished @ weights
@@ -187,7 +200,7 @@ def denoise_halves(
 
 
 def denoise_draft(
-    halves: Mapping[str, Callable[[], FloatArray]],
+    halves: Mapping[str, Halves],
     guides: Guides,
     weights: npt.ArrayLike,
     *,
@@ -206,7 +219,7 @@ def denoise_draft(
     means = dict[str, FloatArray]()
     for name, make in halves.items():
         part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
-        means[part] = means.get(part, np.float32(0.0)) + make().mean(axis=0)
+        means[part] = means.get(part, np.float32(0.0)) + make()[0].mean(axis=0)
     components, coarse = dict[str, FloatArray](), _binned(guides)
     for index, (name, mean) in enumerate(means.items()):
         progress("denoising", index / len(means))
@@ -220,7 +233,13 @@ def denoise_draft(
     return Denoised(components, None, quick=True)
 
 
-def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: bool = False) -> dict[str, FloatArray]:
+def denoise(
+    components: Mapping[str, npt.ArrayLike],
+    guides: Guides,
+    *,
+    quick: bool = False,
+    least: Mapping[str, FloatArray] | None = None,
+) -> dict[str, FloatArray]:
     """Clean the components of a foggy image.
 
     Args:
@@ -230,6 +249,7 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
         guides: see `guides`.  The transmittance of the pixel's centre is no substitute for theirs: at an edge
             the light is a mean, and dividing it by one side's T tripled the error of the image.
         quick: with Open Image Denoise's smaller networks, see `FEW`.
+        least: name -> what all halves of its samples have, (H, W, C), see `BRIGHT`; where left out, the component.
 
     Returns:
         the same names, float32, not negative; their sum is the image.
@@ -262,7 +282,8 @@ def denoise(components: Mapping[str, npt.ArrayLike], guides: Guides, *, quick: b
             cleaned[name] = np.maximum(image, 0.0)
         elif name in (SURFACE, LIT):
             network: Network = "high" if not quick else "fast" if name == LIT else "balanced"
-            cleaned[name] = _clean_surface(image, through, albedo, normal, network)
+            bright = np.minimum(image, (least or {}).get(name, image))
+            cleaned[name] = _clean_surface((image, bright), through, albedo, normal, network)
         else:
             cleaned[name] = _clean_air(image, through, "fast" if quick else "high")
     return cleaned
@@ -293,18 +314,22 @@ def _fine_air(light: FloatArray, coarse: Guides, guides: Guides) -> FloatArray:
 
 
 def _clean_surface(
-    image: FloatArray, through: FloatArray, albedo: FloatArray, normal: FloatArray, network: Network
+    lights: tuple[FloatArray, FloatArray], through: FloatArray, albedo: FloatArray, normal: FloatArray, network: Network
 ) -> FloatArray:
-    """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1)."""
+    """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1).
+
+    Args:
+        lights: of the samples, and as far as it is no firefly.
+    """
     dimming, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
-    undimmed = image / dimming
+    undimmed, sure = (light / dimming for light in lights)
     visible = undimmed[
         through[..., 0] >= FAINT_SURFACE
     ]  # a horizon behind fog is black, and says nothing of the street
     most = np.float32(BRIGHT * _typical(visible if visible.size else undimmed))
     guiding = _as_guides(1.0 - trusted * (1.0 - albedo), trusted * normal)
     light = _clean(np.minimum(undimmed, most), guiding, network=network)
-    light += np.maximum(undimmed - most, 0.0)
+    light += np.maximum(sure - most, 0.0)
     return dimming * light
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.parts import bulb, rgb, squares
 
-from synfog_usd.render import models
+from synfog_usd.render import denoise, models
 from synfog_usd.render.film import accumulator, fireflies, launches
-from synfog_usd.render.film.accumulator import HALVES, INSCATTERED_OF_LAMPS, LAMPS, MULTIPLE
+from synfog_usd.render.film.accumulator import HALVES, INSCATTERED_OF_LAMPS, LAMPS, MULTIPLE, SURFACE
 from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import scene, uniform_fog
 
@@ -75,7 +75,22 @@ def test_what_is_kept_apart_and_what_is_left_are_all_light_of_the_samples():
     sums = apart.estimators[INSCATTERED_OF_LAMPS]
     assert sum(light.sum() for light in sums.fireflies.values()) > 0.0
     np.testing.assert_allclose(apart.aov(MULTIPLE), whole.aov(MULTIPLE), rtol=1e-4, atol=1e-6)
-    halves = apart.halves(MULTIPLE)
-    assert halves.shape == (HALVES, *SHAPE, 3)
-    assert halves.mean() == pytest.approx(float(whole.halves(MULTIPLE).mean()), rel=0.02)
-    assert halves.max() < whole.halves(MULTIPLE).max()
+    (sampled, spread), (same, _) = apart.halves(MULTIPLE), whole.halves(MULTIPLE)
+    assert spread.shape == (HALVES, *SHAPE, 3)
+    np.testing.assert_allclose(sampled, same, rtol=1e-4, atol=1e-6)
+    assert spread.mean() == pytest.approx(float(same.mean()), rel=0.02)
+    assert spread.max() < same.max()
+
+
+def test_only_what_both_halves_have_is_too_bright_to_be_denoised():
+    """A pixel at 10^6 times the wall's light stays where both halves show it, and is gone where one does."""
+    light = np.ones((2, *SHAPE, 3), dtype=np.float32)
+    spread = light.copy()
+    light[:, 20, 20] = spread[:, 20, 20] = 1e6
+    light[0, 30, 60] = 1e6
+    flat = np.ones((*SHAPE, 3), dtype=np.float32)
+    guides = denoise.Guides(flat, 0.0 * flat, flat[..., 0])
+    weights = [0.2126, 0.7152, 0.0722]
+    picture = denoise.denoise_halves({SURFACE: lambda: (light, spread)}, guides, weights).components[SURFACE]
+    assert picture[20, 20] == pytest.approx(1e6, rel=0.02)
+    assert picture[30, 60].max() < 2.0

@@ -101,7 +101,7 @@ def test_airlight_in_squares_keeps_the_edge_of_what_hides_it():
     light = np.repeat(3.0 * (1.0 - through)[..., None], 3, axis=2)
     flat = np.ones((24, 32, 3), dtype=np.float32)
     guides = denoising.Guides(flat, 0.0 * flat, through, in_squares=True)
-    halves = {MULTIPLE: lambda: np.stack([light, light])}
+    halves = {MULTIPLE: lambda: (np.stack([light, light]),) * 2}
     cleaned = denoising.denoise_halves(halves, guides, [0.2126, 0.7152, 0.0722]).components[MULTIPLE]
     np.testing.assert_allclose(cleaned, light, rtol=0.02)
     assert SHARE_PX == 2

@@ -309,21 +309,27 @@ class Accumulator:
             return total(means)
         return None if ALL in self.estimators or name == DIRECT else np.zeros((self.pixels, len(self.weights)))
 
-    def halves(self, component: str) -> FloatArray:
-        """(2, H, W, C) mean of one of `component_names` in each half; fireflies spread out."""
-        halves = np.zeros((HALVES, self.pixels, len(self.weights)), dtype=np.float32)
+    def halves(self, component: str) -> tuple[FloatArray, FloatArray]:
+        """Mean of one of `component_names` in each half, (2, H, W, C): as it was sampled, and with fireflies spread
+        out.
+        """
+        sampled, spread = np.zeros((2, HALVES, self.pixels, len(self.weights)), dtype=np.float32)
         for name, estimator in self.estimators.items():
             for aov, sums in estimator.aovs.items():
                 if component == (LIT if name == LIT else aov):
                     number = np.maximum(estimator.counts, 1)[:, :, None].astype(np.float32)
                     light = np.asarray(sums / number, dtype=np.float32)
                     kept = self._kept(name, light) if name in ON_SURFACES else light
-                    halves += kept
+                    sampled += light
+                    spread += kept
                     if aov in estimator.fireflies:
-                        halves += self._spread_out(name, estimator.fireflies[aov] / number)
+                        beyond = estimator.fireflies[aov] / number
+                        sampled += beyond
+                        spread += self._spread_out(name, beyond)
                     elif kept is not light:
-                        halves += self._spread_out(name, light - kept)
-        return halves.reshape(HALVES, *self.shape, -1)
+                        spread += self._spread_out(name, light - kept)
+        height, width = self.shape
+        return sampled.reshape(HALVES, height, width, -1), spread.reshape(HALVES, height, width, -1)
 
     def _kept(self, name: str, light: FloatArray) -> FloatArray:
         """What is no firefly of light of surfaces (2, P, C), or of its luminance (2, P, 1)."""

@@ -4,7 +4,8 @@ A path that meets a surface beside a lamp is rare and very bright: at the crossi
 6 % of the light of its estimator and nine tenths of its variance.  What fog scatters to the eye is smooth, so their
 light may come from further around.  Here light of a lane of paths beyond a limit is kept apart.  It is spread over its
 surroundings in the shape that the other light of the lamps has in the fog there.  None is lost.  The limit grows with
-the number of paths, and with it the bias vanishes.  Reference images are made without.
+the number of paths, and with it the bias vanishes.  Reference images are made without.  The denoiser sees the samples
+as they are, and is judged by this light: of a firefly that was cut it leaves a speck.
 
 Light of surfaces has edges and small bright things.  There only that counts as a firefly which one half of the samples
 has, and the other has not nearby.
