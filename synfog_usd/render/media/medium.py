@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from mitsuba import Point2f, Point3f, Vector3f
 
     from synfog_usd.render.sampling.sobol import Sobol
+
+Lanes = TypeVar("Lanes")
+"""Numbers, directions or colours of the wavefront."""
 
 BISECTIONS = 30
 """Halvings of a stretch until its optical depth fits: 1 km to a micrometre, below what float32 holds."""
@@ -274,14 +277,14 @@ class Medium:
         directions, densities = zip(*(phase.sample(forward, u) for phase in self.phases), strict=True)
         return self._by_phase(place, directions), self._by_phase(place, densities)
 
-    def _by_phase(self, place: Point3f, options: Sequence[Any]) -> Any:
+    def _by_phase(self, place: Point3f, options: Sequence[Lanes]) -> Lanes:
         return options[0] if len(options) == 1 else self.by_volume(place, [options[at] for at in self._phase_of])
 
-    def by_volume(self, place: Point3f, options: Sequence[Any]) -> Any:
+    def by_volume(self, place: Point3f, options: Sequence[Lanes]) -> Lanes:
         """Of values by volume those of the innermost one around points in fog."""
         return self._innermost(place, lambda medium: options[medium.number], options[0])
 
-    def _innermost(self, place: Point3f, value: Callable[[_Volume], Any], outside: Any) -> Any:
+    def _innermost(self, place: Point3f, value: Callable[[_Volume], Lanes], outside: Lanes) -> Lanes:
         result = outside
         for at in self.order:
             medium = self.media[at]

@@ -110,10 +110,9 @@ class Cloud:
 
 def also(fog: Fog) -> str:
     """What is in the air beside rain and snow, as it thins with spray's height to the same mean: a medium's `also`."""
-    seen = {part: part.mor_m for part in (fog, *fog.also) if part.mor_m is not None}
-    return "+".join(
-        replace(part, mor_m=max(round(m / DENSEST, 2), LEAST_MOR_M), also=()).name for part, m in seen.items()
-    )
+    visible_m = {part: part.mor_m for part in (fog, *fog.also) if part.mor_m is not None}
+    mean_kept = {part: max(round(m / DENSEST, 2), LEAST_MOR_M) for part, m in visible_m.items()}
+    return "+".join(replace(part, mor_m=m, also=()).name for part, m in mean_kept.items())
 
 
 def clouds(placed: Sequence[Placement], view: View, fog: Fog) -> list[Cloud]:
