@@ -160,12 +160,6 @@ def test_a_phase_function_sends_all_somewhere(kind):
     assert (phase.table()[1] >= 0.0).all()
 
 
-def test_a_picture_of_rain_loses_half_of_what_a_beam_does():
-    """Drops that a camera resolves hide what is behind their cross section, and no more."""
-    picture = kinds.medium_of("rain", rate_mm_h=10.0)
-    assert picture.sigma_t_per_m == pytest.approx(extinction("rain", rain_sizes(10.0)) / 2.0)
-
-
 @pytest.mark.parametrize("nm", [450.0, 550.0, 650.0])
 def test_media_in_one_place_add_up(nm):
     """Extinction and scattering by wavelength are sums, of twelve; so is the phase function times the scattering at

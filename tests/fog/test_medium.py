@@ -43,31 +43,6 @@ def test_optical_depth_is_the_integral_of_extinction(start, end):
     )  # quadrature across the kink at the base; measured 2e-10
 
 
-def test_uniform_fog_has_no_memory():
-    """tau(a + b) = tau(a) + tau(b)."""
-    fog = FogMedium.from_visibility(80.0)
-    np.testing.assert_allclose(
-        fog.optical_depth(0, 0, 30.0), fog.optical_depth(0, 0, 12.0) + fog.optical_depth(0, 0, 18.0), rtol=4 * EPS64
-    )
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"sigma_t_per_m": -0.1},
-        {"sigma_t_per_m": float("nan")},
-        {"sigma_t_per_m": 0.1, "albedo": 1.01},
-        {"sigma_t_per_m": 0.1, "albedo": float("nan")},
-        {"sigma_t_per_m": 0.1, "g": 1.0},
-        {"sigma_t_per_m": 0.1, "profile": "linear"},
-    ],
-)
-def test_impossible_fog_is_refused(values):
-    """A value that no fog has is an error when it is read, not a black picture."""
-    with pytest.raises(ParameterError):
-        FogMedium(**values)
-
-
 @pytest.mark.parametrize(
     "visibility, contrast", [(0.0, 0.05), (-5.0, 0.05), (float("nan"), 0.05), (100.0, 0.0), (100.0, 1.0)]
 )
