@@ -6,6 +6,7 @@ Takes the lamps of a scene; gives the radiance of drops at places, and its mean 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -27,8 +28,8 @@ SMALL_M = 1.0
 LEAST_M = 0.3
 """Distance from a lamp below which its light does not grow."""
 
-EVERY_PX, STEPS, FARTHEST_M = 8, 48, 300.0
-"""Pixels from one line of sight to the next, its steps, and how far it goes [m]."""
+EVERY_PX, FARTHEST_M, STEPS = 8, 300.0, 48
+"""Pixels from one line of sight to the next, how far the longest goes [m], and its steps."""
 
 SHADE_AT = 12, 8, 10
 """Columns, rows and distances of the places at which lamps are asked for."""
@@ -232,7 +233,8 @@ class Sightlines:
         height, width = camera.height_px, camera.width_px
         rows, columns = (max(2, -(-count // EVERY_PX)) for count in (height, width))
         grid = np.stack(np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows), axis=-1)
-        ends = np.geomspace(NEAR_M, reach_m, STEPS + 1)
+        steps = math.ceil(STEPS * math.log(reach_m / NEAR_M) / math.log(FARTHEST_M / NEAR_M))
+        ends = np.geomspace(NEAR_M, reach_m, steps + 1)
         middle = 0.5 * (ends[1:] + ends[:-1])
         ways = np.nan_to_num(camera.directions(grid))
         places = camera.to_world[:3, 3] + ways[:, :, None, :] * middle[:, None]
