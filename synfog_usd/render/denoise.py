@@ -282,8 +282,8 @@ def denoise(
             cleaned[name] = np.maximum(image, 0.0)
         elif name in (SURFACE, LIT):
             network: Network = "high" if not quick else "fast" if name == LIT else "balanced"
-            bright = np.minimum(image, (least or {}).get(name, image))
-            cleaned[name] = _clean_surface((image, bright), through, albedo, normal, network)
+            steady = np.minimum(image, (least or {}).get(name, image))
+            cleaned[name] = _clean_surface(image, steady, through, albedo, normal, network)
         else:
             cleaned[name] = _clean_air(image, through, "fast" if quick else "high")
     return cleaned
@@ -314,22 +314,23 @@ def _fine_air(light: FloatArray, coarse: Guides, guides: Guides) -> FloatArray:
 
 
 def _clean_surface(
-    lights: tuple[FloatArray, FloatArray], through: FloatArray, albedo: FloatArray, normal: FloatArray, network: Network
+    image: FloatArray,
+    steady: FloatArray,
+    through: FloatArray,
+    albedo: FloatArray,
+    normal: FloatArray,
+    network: Network,
 ) -> FloatArray:
-    """Light of surfaces, (H, W, C), that the fog has dimmed to `through`, (H, W, 1).
-
-    Args:
-        lights: of the samples, and as far as it is no firefly.
-    """
+    """Light of surfaces, (H, W, C), that the fog dims to `through`, (H, W, 1); `steady` is it without fireflies."""
     dimming, trusted = np.maximum(through, FAINT_SURFACE), through / (through + HALF_GUIDED)
-    undimmed, sure = (light / dimming for light in lights)
+    undimmed = image / dimming
     visible = undimmed[
         through[..., 0] >= FAINT_SURFACE
     ]  # a horizon behind fog is black, and says nothing of the street
     most = np.float32(BRIGHT * _typical(visible if visible.size else undimmed))
     guiding = _as_guides(1.0 - trusted * (1.0 - albedo), trusted * normal)
     light = _clean(np.minimum(undimmed, most), guiding, network=network)
-    light += np.maximum(sure - most, 0.0)
+    light += np.maximum(steady / dimming - most, 0.0)
     return dimming * light
 
 

@@ -128,7 +128,7 @@ class _Target:
 
     def fine(self, lanes: Pixels) -> Pixels:
         """(..., P, C) of (..., N, C)."""
-        return lanes if self.lane_of is None else np.take(lanes, self.lane_of, axis=-2, mode="clip")  # 6 times faster
+        return lanes if self.lane_of is None else np.take(lanes, self.lane_of, axis=-2, mode="clip")
 
 
 def _targets(accumulated: Accumulator, estimator: Estimator, pixels: Indices, lanes: int) -> Iterator[_Target]:
