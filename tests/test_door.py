@@ -69,10 +69,8 @@ def test_type_checkers_see_the_names_that_there_are():
     """Below TYPE_CHECKING the same names are imported from the places that are looked up."""
     tree = ast.parse(Path(sf.__file__).read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
-    named = [(line, alias) for line in block.body for alias in line.names if alias.asname is not None]
-    seen = {alias.asname: (line.module, alias.name) for line, alias in named}
-    places = {name: place.partition(":") for name, place in sf._PLACES.items()}
-    assert seen == {name: (f"synfog_usd.{where}", other or name) for name, (where, _, other) in places.items()}
+    seen = {alias.asname: (line.module, alias.name) for line in block.body for alias in line.names}
+    assert seen == {name: (f"synfog_usd.{module}", name) for name, module in sf._places.items()}
     assert sorted(sf.__all__) == sorted(seen) and {*dir(sf)} == {*seen, "__version__"}
     for name in seen:
         assert getattr(sf, name).__doc__, name

@@ -12,9 +12,9 @@ from typing import Annotated
 
 import typer
 
-from synfog_usd import __version__
 from synfog_usd.base import isolated, numbers
 from synfog_usd.base.errors import SynfogError
+from synfog_usd.base.version import __version__
 from synfog_usd.cli import dataset, options, worker
 
 # Plain help: drawing it with rich costs as long again as everything else that help does.

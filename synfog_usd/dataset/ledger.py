@@ -15,9 +15,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd import __version__
 from synfog_usd.base import files
 from synfog_usd.base.errors import OutputError
+from synfog_usd.base.version import __version__
 from synfog_usd.dataset.plan import BakePlan, Shot
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd import camera as cameras
+from synfog_usd import camera as camera_room
 from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, ImageError
 from synfog_usd.base.image import Image, Quantity
@@ -146,7 +146,7 @@ def develop(
         "exposure_s": None if exposure is None else seconds(exposure, "--exposure"),
         "iso": None if iso is None else number(iso, "--iso"),
     }
-    graph = cameras.exposed(graph.with_overrides(dict(change)) if change else graph, **fixed)
+    graph = camera_room.exposed(graph.with_overrides(dict(change)) if change else graph, **fixed)
     frame = light if isinstance(light, Frame) else None
     if ev is None:
         ev = frame._taken.ev if frame else 0.0
@@ -155,25 +155,25 @@ def develop(
     on = _inputs(meter, graph, fov_x_deg) if meter is not None and not isinstance(meter, Frame) else images
     metering_frame = meter if isinstance(meter, Frame) else frame if meter is None else None
     if metering_frame is not None:
-        metered = cameras.meter(metering_frame._taken.clear, graph, compensation_ev=ev) if _open(graph) else None
+        metered = camera_room.meter(metering_frame._taken.clear, graph, compensation_ev=ev) if _open(graph) else None
     else:
-        metered = cameras.metered(graph, on, compensation_ev=ev)
+        metered = camera_room.metered(graph, on, compensation_ev=ev)
     if seed is None:
         seed = frame._taken.seed if frame else 0
     linear = _linear_node(graph)
     names = [*graph.outputs.values(), *([linear] if linear else [])]
-    results = cameras.develop(graph, images, seed=count(seed, "--seed"), exposure=metered, keep=names)
+    results = camera_room.develop(graph, images, seed=count(seed, "--seed"), exposure=metered, keep=names)
     outputs = {name: results[node] for name, node in graph.outputs.items()}
     return Photo(outputs, metered, graph, results[linear] if linear else None)
 
 
-def shipped() -> list[str]:
+def cameras() -> list[str]:
     """Names of the simulated cameras that ship, as `develop`, `load` and `bake` take them."""
     return list(resources.shipped("pipeline"))
 
 
 def _open(graph: NodeGraph) -> bool:
-    return bool(cameras.exposure_left_open(graph))
+    return bool(camera_room.exposure_left_open(graph))
 
 
 def _graph_of(light: Light, camera: Camera) -> NodeGraph:
@@ -183,8 +183,8 @@ def _graph_of(light: Light, camera: Camera) -> NodeGraph:
     if isinstance(camera, NodeGraph):
         return camera
     if isinstance(camera, Mapping):
-        return make_graph(cameras.OPS, **camera)
-    return cameras.load_graph(path_of(PHONE if camera is None else camera, "camera"))
+        return make_graph(camera_room.OPS, **camera)
+    return camera_room.load_graph(path_of(PHONE if camera is None else camera, "camera"))
 
 
 def _linear_node(graph: NodeGraph) -> str | None:
@@ -208,7 +208,7 @@ def _inputs(light: Light, graph: NodeGraph, fov_x_deg: float | None) -> dict[str
     for name, source in named.items():
         image = _image(source, graph.inputs[name].quantity or Quantity.RADIANCE, name)
         picture = image.quantity is not Quantity.DATA
-        images[name] = cameras.field_of_view(image, graph, fov_x_deg=fov_x_deg) if picture else image
+        images[name] = camera_room.field_of_view(image, graph, fov_x_deg=fov_x_deg) if picture else image
     return images
 
 

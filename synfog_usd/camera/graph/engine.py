@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from synfog_usd import __version__
 from synfog_usd.base import seeds
 from synfog_usd.base.arrays import strips
 from synfog_usd.base.errors import GraphError, ImageError, SynfogError, did_you_mean
 from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.version import __version__
 from synfog_usd.base.yamlio import Place
 from synfog_usd.camera.graph.compose import SCHEMA
 from synfog_usd.camera.graph.op import MISSING, Op, Parameter, Port, Profile, Setting

@@ -18,10 +18,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from synfog_usd import __version__
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.files import write_whole
 from synfog_usd.base.image import Image, Quantity
+from synfog_usd.base.version import __version__
 from synfog_usd.camera.writers.opcodes import opcode_list
 
 FIXED_DATE = "2000:01:01 00:00:00"

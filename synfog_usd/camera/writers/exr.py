@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from synfog_usd import __version__
 from synfog_usd.base.arrays import FloatArray
 from synfog_usd.base.errors import ImageError, OutputError
 from synfog_usd.base.files import write_whole
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.photometry import band_centre_nm
+from synfog_usd.base.version import __version__
 
 if TYPE_CHECKING:
     import OpenImageIO

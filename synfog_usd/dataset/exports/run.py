@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synfog_usd import __version__
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
+from synfog_usd.base.version import __version__
 from synfog_usd.dataset.exports import croissant, taxonomy, webdataset
 from synfog_usd.dataset.exports.folder import ExportFolder
 from synfog_usd.dataset.exports.frames import LabelledPicture, pictures
