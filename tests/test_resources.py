@@ -8,6 +8,7 @@ from support.cli import run
 from synfog_usd import camera
 from synfog_usd.base import resources
 from synfog_usd.base.errors import GraphError, RecipeError, SetError
+from synfog_usd.dataset.asked import plan_of
 from synfog_usd.dataset.sets.load import load_set
 from synfog_usd.world.compose import load
 
@@ -39,3 +40,15 @@ def test_compose_takes_the_name_of_a_recipe(tmp_path):
     assert done.returncode == 0 and (tmp_path / "drawn.usda").is_file(), done.stderr
     done = run("compose", "tunnell", "--seed", "3", "-o", "a.usda", cwd=tmp_path)
     assert done.returncode == 2 and "Did you mean 'tunnel'?" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_stage_that_ships_is_taken_by_its_name(tmp_path, monkeypatch):
+    """From a folder where a bake of it left one of that name; a file of one's own goes before."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "chamber").mkdir()
+    assert run("check", "chamber", cwd=tmp_path).returncode == 0
+    assert plan_of("bench/canyon").stage == resources.folder("stages") / "bench/canyon.usda"
+    assert plan_of("chamber").out == Path("out/chamber")
+    (tmp_path / "crossroads").write_text("mine")
+    for name in ("crossroads", "chamber.usda", "no"):
+        assert resources.stage(Path(name)) == Path(name)

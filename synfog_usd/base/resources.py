@@ -50,6 +50,12 @@ def named(path: Path, kind: str) -> Path:
     )
 
 
+def stage(path: Path) -> Path:
+    """A stage by its path, or by the bare name of one that ships, as crossroads or bench/canyon."""
+    ours = folder("stages") / f"{path}.usda"
+    return ours if not path.suffix and not path.is_file() and ours.is_file() else path
+
+
 def schema_plugin() -> Path:
     """The folder of the USD schema, as PXR_PLUGINPATH_NAME takes it."""
     return _PACKAGE / "stage" / "schema_plugin"

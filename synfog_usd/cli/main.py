@@ -115,7 +115,7 @@ def preview(words: PreviewWords) -> None:
 
 @app.command()
 def check(
-    stage: Annotated[Path, typer.Argument(help="USD file.")],
+    stage: options.Stage,
     strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
     choices: options.Choices = None,
     allow: options.Allow = None,
@@ -143,7 +143,7 @@ def check(
 class ChartWords:
     """Options of `chart`."""
 
-    stage: Annotated[Path, typer.Argument(help="USD file.")]
+    stage: options.Stage
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for chart.csv, .svg, .png and notes.txt.")]
     fog: Annotated[
         str | None,

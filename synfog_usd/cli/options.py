@@ -65,7 +65,7 @@ def folder(text: str) -> Path:
     return Path(text)
 
 
-Stage = Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz).")]
+Stage = Annotated[Path, typer.Argument(help="USD file (.usda, .usdc, .usd, .usdz), or crossroads, which ships.")]
 Pipeline = Annotated[
     Path | None, typer.Option(help="YAML node graph, or one that ships by its name; phone if left out.")
 ]

@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd.base import numbers
+from synfog_usd.base import numbers, resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.values import check_words, count, names, number, path_of, seconds, switch, word
 from synfog_usd.dataset.plan import BakePlan, Exposing, Sampling, StageReading
@@ -28,14 +28,14 @@ def plan_of(stage: object, out: object = None, **asked: Any) -> BakePlan:
     """A plan from options of `synfog-usd bake`, with _ for -.
 
     Args:
-        stage: USD file.
+        stage: USD file, or the name of a stage that ships.
         out: folder that receives everything; out/<name of the stage> if left out.
         asked: values by option, as typed or as Python has them; None is an option that is left out.
 
     Raises:
         ParameterError: an option that is not known, or a value that it does not take.
     """
-    stage = path_of(stage, "stage")
+    stage = resources.stage(path_of(stage, "stage"))
     out = Path("out") / stage.stem if out is None else path_of(out, "--out")
     check_words(asked, OPTIONS)
     values = {word: value for word, value in asked.items() if value is not None}

@@ -65,7 +65,7 @@ def check(stage: str | os.PathLike[str], **options: Any) -> Checked:
     """Tell what in a stage is wrong or unusual, how to mend it, and what a bake makes simpler.
 
     Args:
-        stage: USD file.
+        stage: USD file, or the name of a stage that ships.
         options: of `synfog-usd check`, with _ for -: choose, meters_per_unit, up, allow.
 
     Raises:

@@ -188,7 +188,7 @@ def load(
     time are the command line's, whose child process reads it.
 
     Args:
-        stage: USD file.
+        stage: USD file, or the name of a stage that ships, as crossroads.
         lighting: a name of its variant set `lighting`; as the stage is authored if left out.
         fog: a variant of the stage, 'clear', a visibility [m], 'mor150' or a `Fog`; as it is authored if left out.
         camera: prim path or name; the render settings' camera or the first if left out.

@@ -128,7 +128,7 @@ def bake(
     The same job as `synfog-usd bake`, to the same bytes: it goes on where it was stopped.
 
     Args:
-        stage: USD file.
+        stage: USD file, or the name of a stage that ships, as crossroads.
         out: folder for everything; out/<name of the stage> if left out.
         lighting: names; all that the stage has if left out.
         fog: variants of the stage, 'clear', visibilities [m] or `Fog`s, one or several; all that the stage has if left

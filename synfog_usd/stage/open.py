@@ -16,6 +16,7 @@ from typing import Concatenate, ParamSpec, TypeVar, cast
 
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdRender, UsdUtils, Vt
 
+from synfog_usd.base import resources
 from synfog_usd.base.errors import StageError, SynfogError, did_you_mean
 from synfog_usd.base.fence import LAYERS, Fence
 from synfog_usd.base.files import sha256_of
@@ -56,14 +57,14 @@ def open_stage(path: str | Path, *, allow: Iterable[str | Path] = (), whole: boo
         StageError: missing, not USD, beyond a budget of `synfog_usd.stage.budget`,
             with a file outside of the folders, or not `whole`.
     """
-    path = Path(path)
+    path = resources.stage(Path(path))
     if any(sign < " " or sign == "\x7f" for sign in os.fspath(path)):
         raise StageError(
             f"{os.fspath(path)!r}: USD opens no file whose path has a line break or another control character; rename "
             f"it"
         )
     if not path.is_file():
-        raise StageError(f"{path}: no such file; give a .usd, .usda, .usdc or .usdz file")
+        raise StageError(f"{path}: no such file; give a .usd, .usda, .usdc or .usdz file, or crossroads, which ships")
     if path.suffix.lower() not in LAYERS:
         raise StageError(f"{path}: not a USD file by its name; it ends in one of {', '.join(LAYERS)}")
     fence = Fence.around(path, allow)
