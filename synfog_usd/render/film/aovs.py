@@ -24,7 +24,10 @@ from synfog_usd.render.placed import PlacedScene
 from synfog_usd.scene import Camera, prototype_of
 
 if TYPE_CHECKING:
-    from mitsuba import Shape
+    from collections.abc import Sequence
+
+    from drjit.auto.ad import Bool, Float64, UInt32
+    from mitsuba import Point3f, Ray3f, Shape, SurfaceInteraction3f, Vector3f
 
 MAX_CROSSINGS = 256
 
@@ -196,25 +199,15 @@ def pierced(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
     codes = [np.zeros(0, dtype=np.int64)]
     for first in range(0, count, batch):
         progress("what stands behind", first / count)
-        pixels = np.arange(first, min(first + batch, count))
-        all_origins, directions = tracer.centre_rays(pixels)
-        origin, began, growth = all_origins, np.zeros(len(pixels)), np.ones(len(pixels))
-        of_batch = [np.zeros(0, dtype=np.int64)]
-        for _ in range(MAX_PIERCED):
-            hits = tracer.trace(origin, directions[pixels - first])
-            some = hits.valid & (hits.fog < 0) & (hits.see_through < 0.5) & (hits.instance_id > 0)
-            of_batch.append(hits.instance_id[some] * count + pixels[some])
-            pixels, began, growth = pixels[hits.valid], began[hits.valid], growth[hits.valid]
-            hits = _rows(hits, hits.valid)
-            if not pixels.size:
-                break
-            eye, direction = all_origins[pixels - first], directions[pixels - first]
-            at = np.sum((hits.position - eye) * direction, axis=1)
-            least = STEP * (1.0 + at)
-            growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)  # a ray within a surface leaves it
-            began = np.maximum(np.sum((hits.onward - eye) * direction, axis=1), at + growth * least)
-            origin = eye + began[:, None] * direction  # on the ray itself
-        codes.append(distinct(np.concatenate(of_batch)))
+        pixels, met, gone = np.arange(first, min(first + batch, count)), [np.zeros(0, dtype=np.int64)], 0
+        rays = (*tracer.centre_rays(pixels), np.zeros(len(pixels)), np.ones(len(pixels)))
+        while pixels.size and gone < MAX_PIERCED:
+            steps = 1 if tracer.scalar else min(batch // len(pixels), MAX_PIERCED - gone)
+            ids, began, growth, alive = tracer.pierced(*rays, steps)
+            met += [some[some > 0] * count + pixels[some > 0] for some in ids]
+            pixels, rays = pixels[alive], (rays[0][alive], rays[1][alive], began[alive], growth[alive])
+            gone += steps
+        codes.append(distinct(np.concatenate(met)))
     ids, pixels = np.divmod(np.sort(np.concatenate(codes)), count)
     return ids, pixels
 
@@ -349,6 +342,11 @@ class _Tracer:
     def trace(self, origin: Array, direction: Array) -> Hits:
         rows = self._trace_scalar(origin, direction) if self.scalar else self._trace_jit(origin, direction)
         valid, position, onward, normal, front, rank, placed, face, see_through, row = rows
+        instance, part = self._labels(rank, placed, face, row)
+        return Hits(valid, position, onward, normal, front, instance, part, self.fog_of[rank], see_through)
+
+    def _labels(self, rank: Indices, placed: Indices, face: Indices, row: Indices) -> tuple[Indices, Indices]:
+        """Label ids of what was met, and the ids of its parts that move by themselves; 0 for none."""
         code = np.where(placed > 0, placed * self.size + rank, rank)
         at = np.minimum(np.searchsorted(self.instance_keys, code), max(len(self.instance_keys) - 1, 0))
         labelled = (self.instance_keys[at] == code) if len(self.instance_keys) else np.zeros(len(code), dtype=bool)
@@ -361,13 +359,81 @@ class _Tracer:
             part = np.maximum(instance - len(source.instances), 0)
             owner = np.array([0, *(one.instance for one in source.parts)])
             instance = np.where(part > 0, owner[part], instance)
-        return Hits(valid, position, onward, normal, front, instance, part, self.fog_of[rank], see_through)
+        return instance, part
+
+    def pierced(
+        self, eye: Array, direction: Array, began: Array, growth: Array, steps: int
+    ) -> tuple[Indices, Array, Array, Flags]:
+        """The label ids (steps, N) of what rays meet next, and where they go on; in a scalar variant of one step.
+
+        Args:
+            eye, direction: (N, 3) of the rays.
+            began: (N,) way [m] from the eye from which on they look.
+            growth: (N,) how many times `STEP` they went at least; a ray within a surface leaves it.
+            steps: surfaces that they go through at most.
+
+        Returns:
+            ids, `began` and `growth` behind the last surface, and whether there was one.
+        """
+        if self.scalar:
+            hits = self.trace(eye + began[:, None] * direction, direction)
+            ids = np.where(hits.see_through < 0.5, hits.instance_id, 0)
+            at, leaves = (np.sum((place - eye) * direction, axis=1) for place in (hits.position, hits.onward))
+            least = STEP * (1.0 + at)
+            growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)
+            return ids[None], np.maximum(leaves, at + growth * least), growth, hits.valid
+        mi = self.mi
+        met = [dr.zeros(mi.UInt32, steps * len(eye)) for _ in range(4)]
+        rays = backend.points(eye), mi.Vector3f(backend.points(direction)), mi.Float64(began), mi.Float64(growth)
+        state = self._walk(*rays, dr.opaque(mi.UInt32, steps), dr.opaque(mi.UInt32, len(eye)), met)
+        dr.eval(*state, *met)
+        shape, placed, face, row = (np.array(part, dtype=np.int64) for part in met)
+        ids, _ = self._labels(self.lookup[shape], self.lookup[placed], face, row)
+        began, growth, alive = (np.array(part) for part in state)
+        return ids.reshape(steps, len(eye)), began, growth, alive
+
+    @dr.syntax
+    def _walk(
+        self,
+        eye: Point3f,
+        direction: Vector3f,
+        began: Float64,
+        growth: Float64,
+        steps: UInt32,
+        lanes: UInt32,
+        met: Sequence[UInt32],
+    ) -> tuple[Float64, Float64, Bool]:
+        """As `pierced`; shape, instance, face and row of what lane n meets in its step k go to place k * lanes + n."""
+        mi = self.mi
+        from_eye, along = mi.Point3d(eye), mi.Vector3d(direction)
+        place, end, alive = dr.arange(mi.UInt32, dr.width(eye)), lanes * steps, mi.Bool(True)
+        while alive & (place < end):
+            ray = mi.Ray3f(mi.Point3f(from_eye + began * along), direction)
+            si, row = self._hits(ray, alive)
+            alive &= si.is_valid()
+            solid = alive & (backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, alive))) < 0.5)
+            numbers = backend.indices_of(si.shape), backend.indices_of(si.instance), si.prim_index, row
+            for target, number in zip(met, numbers, strict=True):
+                dr.scatter(target, number, place, solid)
+            at = dr.dot(mi.Point3d(si.p) - from_eye, along)
+            leaves = dr.dot(mi.Point3d(si.spawn_ray(direction).o) - from_eye, along)
+            least = STEP * (1.0 + at)
+            grown = dr.select(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)
+            growth = dr.select(alive, grown, growth)
+            began = dr.select(alive, dr.maximum(leaves, at + growth * least), began)
+            place += lanes
+        return began, growth, alive
+
+    def _hits(self, ray: Ray3f, active: Bool) -> tuple[SurfaceInteraction3f, UInt32]:
+        tree = self.loaded.tree
+        if isinstance(tree, PlacedScene):
+            return tree.hits(ray, active=active)
+        return tree.ray_intersect(ray, active=active), self.mi.UInt32(0)
 
     def _trace_jit(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi = self.mi
         ray = mi.Ray3f(backend.points(origin), mi.Vector3f(backend.points(direction)))
-        tree = self.loaded.tree
-        si, row = tree.hits(ray) if isinstance(tree, PlacedScene) else (tree.ray_intersect(ray), mi.UInt32(0))
+        si, row = self._hits(ray, mi.Bool(True))
         valid = si.is_valid()
         passing = backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         shape, instance = backend.indices_of(si.shape), backend.indices_of(si.instance)
