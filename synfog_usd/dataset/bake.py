@@ -205,7 +205,7 @@ class _Work:
         with _Background() as behind:  # a shot is denoised, developed and written while the next is sampled
             for index, shot in enumerate(self._unfinished):
                 self._make(index, shot, behind)
-                if shot == self._every[0] and shot.fog == CLEAR:  # the scene is there, whole
+                if shot == self._every[0]:  # the scene is there, whole
                     self._label(index)
 
     def _make(self, index: int, shot: Shot, behind: _Background) -> None:
@@ -226,8 +226,6 @@ class _Work:
         if self._metered and shot.lighting not in self._views:
             step("metering", METERED)
             self._look(shot, behind)
-        if shot == self._every[0] and shot.fog != CLEAR:
-            self._label(index - 1)
         sampled = SET_UP + (1.0 - SET_UP) * (sampling_share(self._settings) if self._alone else 1.0)
         step("rendering", SET_UP)
         if self._alone:

@@ -353,6 +353,7 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
         StageError: the stage has no such set or no such variant in it, or the
             variant is beyond a budget.
     """
+    chosen_before = selected(stage)
     for name, choice in ((FOG_VARIANT_SET, fog), (LIGHTING_VARIANT_SET, lighting)):
         if choice is None:
             continue
@@ -370,7 +371,7 @@ def select(stage: Usd.Stage, *, fog: str | None = None, lighting: str | None = N
         with Usd.EditContext(stage, Usd.EditTarget(stage.GetSessionLayer())):
             chosen = prim.GetVariantSet(name)
             _ = chosen.SetVariantSelection(choice) if choice else chosen.ClearVariantSelection()
-    if fog is not None or lighting is not None:
+    if selected(stage) != chosen_before:
         check_size(stage)
         _check_expressions(stage, fence_of(stage))
 

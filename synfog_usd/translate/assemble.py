@@ -34,8 +34,9 @@ from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.geometry import Triangles
 from synfog_usd.translate.instanced import FEWEST_KINDS, MOST_KINDS, MOST_TRIANGLES, Around, InstancePrimvars
 from synfog_usd.translate.lanes import lanes
+from synfog_usd.translate.lasting import Lasting
 from synfog_usd.translate.lightgroup import ATTRIBUTE, MOST, SKY, authored_group, group_by_label
-from synfog_usd.translate.material import Materials, is_empty
+from synfog_usd.translate.material import Materials
 from synfog_usd.translate.motion import Mover
 from synfog_usd.translate.pose import Poser
 from synfog_usd.translate.primvars import PrimvarValue
@@ -110,10 +111,11 @@ class Outlook(NamedTuple):
 
 @dataclass
 class Reused:
-    """Meshes and pictures of a stage's last translation, for the next with other variants or of another frame."""
+    """Of a stage's last translation, for the next with other variants or of another frame."""
 
     meshes: Meshes = field(default_factory=dict)
     images: ImageReader | None = None
+    lasting: Lasting | None = None
 
 
 @plain_errors
@@ -128,10 +130,12 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
     notes, authored = Diagnostics(), stage
     notes.extend([*composition_notes(stage), *unit_notes(stage)])
     stage, time, space, eye = looked_from(stage, view, notes)
-    mover = Mover(stage, space, time, half_exposure(stage, time, eye.path), notes)
     reused = reused if stage is authored else Reused()  # a pose is on layers of its own
+    reused.lasting = lasting = reused.lasting or Lasting(stage)
+    mover = Mover(stage, space, time, half_exposure(stage, time, eye.path), notes, lasting)
     images = ImageReader(notes, reused.images)
-    scene = _Assembler(stage, space, time, notes, Chooser(stage, view.lights), mover, images, reused.meshes)
+    materials = Materials(time, notes, images, lasting)
+    scene = _Assembler(stage, space, time, notes, Chooser(stage, view.lights), mover, materials, reused.meshes)
     with _uncollected():
         content = walk(stage, time, notes)
         scene.build(content)
@@ -316,11 +320,11 @@ class _Assembler:
         notes: Diagnostics,
         chooser: Chooser,
         mover: Mover,
-        images: ImageReader,
+        materials: Materials,
         meshes: Meshes,
     ) -> None:
         self.stage, self.space, self.time, self.notes, self.chooser = stage, space, time, notes, chooser
-        self.images, self.materials = images, Materials(time, notes, images)
+        self.images, self.materials = materials.images, materials
         self.bindings = Bindings(stage, time, notes, self.materials)
         self.drawer = Shapes(time, notes, self.materials, self.bindings, chooser, space.metres_per_unit, meshes)
         self.is_blender = str(stage.GetMetadata("documentation") or "").startswith("Blender")
@@ -393,7 +397,7 @@ class _Assembler:
             return False
         path = leaf.path
         if path not in self.fog_boxes:
-            self.fog_boxes[path] = is_empty(material) and volume.fog_box(
+            self.fog_boxes[path] = self.materials.is_empty(material) and volume.fog_box(
                 leaf.prim, material, self.time, self.notes, is_blender=self.is_blender
             )
         return self.fog_boxes[path]

@@ -20,6 +20,7 @@ from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import tell_inputs
 from synfog_usd.translate.inputs import DISPLAY, VERTEX_COLOR, Bsdf, Lookup, PrimvarUse, SurfaceInputs, rgb
+from synfog_usd.translate.lasting import Lasting
 from synfog_usd.translate.primvars import PrimvarValue
 from synfog_usd.translate.shader import file_of, flag_of, number_of, shader_id
 from synfog_usd.translate.shading import GREY, MATERIALX, OMNI_PBR, PREVIEW, InputNames
@@ -83,8 +84,8 @@ class Materials:
         reflectance_of: 'mat_*' -> spectrum, for materials with one; see `SceneDict`.
     """
 
-    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader) -> None:
-        self.time, self.notes, self.images = time, notes, images
+    def __init__(self, time: Usd.TimeCode, notes: Diagnostics, images: ImageReader, lasting: Lasting) -> None:
+        self.time, self.notes, self.images, self.lasting = time, notes, images, lasting
         self.bsdfs: dict[str, Bsdf] = {}
         self.reflectance_of: dict[str, Array] = {}
         self._uses: dict[str | Signature, dict[PrimvarUse, None]] = {}
@@ -165,11 +166,14 @@ class Materials:
         """All that is authored on a material and below it, equal for instances of a model with the same material; None
         where a source lies elsewhere, or a value is more than a few numbers, a word or a file.
         """
-        path, entries = str(material.GetPath()), list[Any]()
+        path, entries, varies = str(material.GetPath()), list[Any](), False
+        if path in self.lasting.signatures:
+            return self.lasting.signatures[path]
         for prim in Usd.PrimRange(material):
             entries.append((str(prim.GetPath())[len(path) :], prim.GetTypeName()))
             for attribute in prim.GetAuthoredAttributes():
                 value = attribute.Get(self.time)
+                varies |= attribute.ValueMightBeTimeVarying()
                 if value is None:  # as `shader.value_of` has it
                     value = attribute.Get(_EARLIEST)
                 entry: Signature = (attribute.GetName(), type(value), value)
@@ -185,7 +189,16 @@ class Materials:
                         return None
                     entry += tuple(source[len(path) :] for source in sources)
                 entries.append(entry)
+        if not varies:
+            self.lasting.signatures[path] = tuple(entries)
         return tuple(entries)
+
+    def is_empty(self, material: UsdShade.Material) -> bool:
+        """Whether a material has no surface at all, known or not."""
+        path = str(material.GetPath())
+        if path not in self.lasting.empty:
+            self.lasting.empty[path] = _is_empty(material)
+        return self.lasting.empty[path]
 
     def _mean(self, colour: Mapping[str, Any]) -> tuple[float, float, float]:
         """`mean_colour`; that of a picture is computed once."""
@@ -241,7 +254,7 @@ class Materials:
         sources = [material.ComputeSurfaceSource(context)[0] for context in _CONTEXTS]
         shader = next((source for source in sources if source), None)
         if not shader:
-            empty = is_empty(material)
+            empty = self.is_empty(material)
             if not empty:
                 self.notes.warn(
                     path, "material's outputs lead to no shader that is known; its shapes take displayColor or grey"
@@ -296,8 +309,7 @@ class Materials:
         return OMNI_PBR
 
 
-def is_empty(material: UsdShade.Material) -> bool:
-    """Whether a material has no surface at all, known or not."""
+def _is_empty(material: UsdShade.Material) -> bool:
     outputs = [output for output in material.GetOutputs() if output.HasConnectedSource()]
     return all(output.GetBaseName() == "volume" for output in outputs) and not any(
         material.ComputeSurfaceSource(context)[0] for context in ("mitsuba", *_CONTEXTS)

@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdGeom
 from synfog_usd.base.arrays import Array
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import is_finite
+from synfog_usd.translate.lasting import Lasting
 from synfog_usd.translate.pose import authored_velocity
 from synfog_usd.translate.space import FAR, Space, columns
 
@@ -51,13 +52,17 @@ class Mover:
         time: the middle of the exposure.
         half: frames from there to its end; 0 where nothing is to move.
         notes: for a motion that is no number.
+        lasting: of the stage.
 
     Attributes:
         moving: paths that move.
     """
 
-    def __init__(self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float, notes: Diagnostics) -> None:
+    def __init__(
+        self, stage: Usd.Stage, space: Space, time: Usd.TimeCode, half: float, notes: Diagnostics, lasting: Lasting
+    ) -> None:
         self._stage, self._space, self._notes, self.open = stage, space, notes, half > 0.0
+        self._elsewhere = lasting.elsewhere
         self.moving: dict[str, None] = {}
         self._varies: dict[Sdf.Path, bool] = {}
         self._timed = not time.IsDefault()
@@ -88,8 +93,11 @@ class Mover:
 
     def elsewhere(self, path: str) -> bool:
         """Whether a prim has another place in other frames of the stage; paths as `of` takes them."""
-        if not self._timed:
-            return False
+        if self._timed and path not in self._elsewhere:
+            self._elsewhere[path] = self._goes(path)
+        return self._timed and self._elsewhere[path]
+
+    def _goes(self, path: str) -> bool:
         point = _POINT.match(path)
         prim = self._prim(point.group(1) if point else path)
         if prim is None:

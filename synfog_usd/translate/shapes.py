@@ -70,7 +70,7 @@ class Shapes:
         self.time, self.notes, self.materials, self.bindings, self.chooser = time, notes, materials, bindings, chooser
         self.metres_per_unit, self.meshes = metres_per_unit, meshes
         self.drawn: Meshes = {}
-        self._varying: dict[tuple[Any, ...], bool] = {}
+        self.specs = materials.lasting.specs
         self.ahead: dict[str, Arrays] = {}
         self.finite: dict[str, bool] = {}
         self._remembers = False
@@ -318,14 +318,16 @@ class Shapes:
         """Everything that determines a mesh: the specs of its prim, its place and finish; None where more does."""
         if self.meshes is None or finish.colored or "MeshLightAPI" in leaf.schemas:
             return None
-        specs = tuple(
-            (spec.layer.identifier, spec.path, offset.offset, offset.scale)
-            for spec, offset in leaf.prim.GetPrimStackWithLayerOffsets()
-        )
-        if specs not in self._varying:
+        if leaf.path not in self.specs:
+            specs = tuple(
+                (spec.layer.identifier, spec.path, offset.offset, offset.scale)
+                for spec, offset in leaf.prim.GetPrimStackWithLayerOffsets()
+            )
             attributes = (leaf.prim.GetAttribute(name) for name in leaf.authored)
-            self._varying[specs] = any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes)
-        time = self.time if self._varying[specs] else None
+            varies = any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes)
+            self.specs[leaf.path] = specs, varies
+        specs, varies = self.specs[leaf.path]
+        time = self.time if varies else None
         return (*specs, time, matrix.tobytes(), finish.uv, finish.unwrapped, color)
 
     def _mesh_light(self, leaf: Leaf, shape: dict[str, Any], area_m2: float) -> Part:
