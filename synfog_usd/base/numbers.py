@@ -85,6 +85,8 @@ RANGES = {
     "--target-error": (0.0, 1.0, "0.01 is 1 %"),
     "--light-scale": (0.0, 1e12, "leave it out for the lights as they are"),
     "--shutter": (0.0, 60.0, "it takes seconds"),
+    "--fps": (1.0, 240.0, "10 frames a second are usual"),
+    "--seconds": (0.0, 120.0, "each second is 10 frames, if --fps is left out"),
     "--frame": (-1e300, 1e300, "it takes a time code of the stage"),
 }
 """Option -> its least, its most, and what helps to choose."""

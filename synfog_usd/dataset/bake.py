@@ -254,7 +254,7 @@ class _Work:
             clear = clear_scenes(shot, self._session, self._plan.camera)
         view = meter_view(shot.lighting, clear, self._session, self._plan, behind.wait)
         self._views[shot.lighting] = view
-        mean = f"{float(view.luminance.mean()):.3g} cd/m2 in clear air"
+        mean = f"{view.mean_cd_m2:.3g} cd/m2 in clear air"
         exposed = f", exposed {view.exposure}" if view.exposure else ""
         if self._plan.clip is None or not self._plan.clip.number:  # sequence.json has the exposures of all frames
             self._log(f"{shot.lighting}: this view has {mean}{exposed}")

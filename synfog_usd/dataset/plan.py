@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError, did_you_mean
@@ -39,6 +39,8 @@ class ClipFrame:
         per_s: frames a second.
         adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows without delay.
         before: lighting -> (exposure time [s], ISO) of the frame before; empty for the first.
+        metered: lighting -> `Exposure` that was metered last, and `frame`, the number of the frame on which it was;
+            empty for a frame that is metered itself.
         kept: folder of a shot -> rounds of samples of the frame before, see `Settings.kept`; empty for the first.
     """
 
@@ -46,6 +48,7 @@ class ClipFrame:
     per_s: float
     adaptation_s: float
     before: Mapping[str, tuple[float, float]]
+    metered: Mapping[str, Mapping[str, Any]]
     kept: Mapping[str, Sequence[Mapping[str, int]]]
 
 

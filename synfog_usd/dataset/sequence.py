@@ -62,14 +62,14 @@ def bake_sequence(
     session = begin(replace(plan, frame=codes[0]), None if plan.camera is None else [plan.camera], reading)
     plan = replace(plan, camera=one_camera(session))
     with reading():
-        rate, warnings, lightings = _read(session.stage, plan, codes)
+        rate, cuts, warnings, lightings = _read(session.stage, plan, codes)
     for text in warnings:
         log(f"warning: {plan.stage}: {text}")
     per_s = rate / abs(codes[1] - codes[0]) if len(codes) > 1 else rate
     once = _FrameLog(log, tuple(f"{name}: " for name in (str(plan.stage), *lightings)))
     with system.only_writer(plan.out):
         files.remove_leftovers(plan.out)
-        frames = _Frames(session, plan, codes, per_s, adaptation_s)
+        frames = _Frames(session, plan, codes, cuts, ClipFrame(0, per_s, adaptation_s, {}, {}, {}))
         frames.make(progress, once, reading)
         manifest: dict[str, Any] = {
             "schema": "synfog-usd/sequence",
@@ -89,27 +89,30 @@ class _Frames:
 
     Args:
         session: of the first frame.
-        plan, codes, adaptation_s: see `bake_sequence`; per_s: frames a second.
+        plan, codes: see `bake_sequence`.
+        cuts: those of the codes at which the camera cuts.
+        clip: its first frame.
 
     Attributes:
         rows: of `sequence.json`; bakes: of the frames that are made.
     """
 
     def __init__(
-        self, session: Session, plan: BakePlan, codes: Sequence[float], per_s: float, adaptation_s: float
+        self, session: Session, plan: BakePlan, codes: Sequence[float], cuts: Collection[float], clip: ClipFrame
     ) -> None:
         self.rows: list[dict[str, Any]] = []
         self.bakes: list[Baked] = []
-        self._session, self._plan, self._codes = session, plan, codes
-        self._clip = ClipFrame(0, per_s, adaptation_s, {}, {})
+        self._session, self._plan, self._codes, self._cuts, self._clip = session, plan, codes, cuts, clip
 
     def make(self, progress: Progress, log: _FrameLog, reading: Reading) -> None:
         """Make them; arguments as `bake` takes them."""
-        count = len(self._codes)
+        count, every = len(self._codes), max(1, round(self._clip.adaptation_s * self._clip.per_s))
         for number, code in enumerate(self._codes):
             folder, seed = f"{number:06d}", frame_seed(self._plan.seed, code)
             log.code = code
             clip = replace(self._clip, number=number)
+            if number % every == 0 or code in self._cuts or self._plan.exposes.meter_for:
+                clip = replace(clip, metered={})
             frame = replace(self._plan, frame=code, seed=seed, sampling_seed=self._plan.seed, clip=clip)
             frame = replace(frame, out=self._plan.out / folder)
             self._session = self._session.at(frame)
@@ -123,9 +126,11 @@ class _Frames:
                 price.tell_by(frame.out, sum(baked.seconds.values()), count, log.log)
             exposures = _exposures(baked.manifest)
             kept = {row["folder"]: row["rounds"] for row in baked.manifest["shots"] if "rounds" in row}
-            self._clip = replace(
-                self._clip, before={**self._clip.before, **exposures}, kept={**self._clip.kept, **kept}
-            )
+            metered = {
+                row["lighting"]: row["exposure"]["metered"] for row in baked.manifest["shots"] if row["exposure"]
+            }
+            before = {**self._clip.before, **exposures}
+            self._clip = replace(self._clip, before=before, metered=metered, kept={**self._clip.kept, **kept})
             row = {"number": number, "time_code": code, "folder": folder, "seed": seed, "exposures": exposures}
             self.rows.append(row)
 
@@ -183,8 +188,8 @@ class _FrameLog:
             self.passed_on.add(text)
 
 
-def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, list[str], list[str]]:
-    """Time codes a second of the stage, what a user should know of these, and its lightings.
+def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, list[float], list[str], list[str]]:
+    """Time codes a second of the stage, those at which its camera cuts, what a user should know, and its lightings.
 
     Raises:
         StageError: the stage has no rate.
@@ -199,7 +204,8 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
             f"or bake one --frame"
         )
     path = plan.camera or own_camera(stage)
-    for code in usd.cuts(stage.GetPrimAtPath(path), np.asarray(codes)) if path else ():
+    cuts = usd.cuts(stage.GetPrimAtPath(path), np.asarray(codes)) if path else []
+    for code in cuts:
         warnings.append(
             f"{path} cuts at the time code {code:g}: the clip, its flow and its exposure go on over it; bake the "
             f"frames before and after it by themselves"
@@ -216,7 +222,7 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
             f"{len(outside)} of {len(codes)} frames lie outside of the stage's time codes {first:g} to {last:g}, "
             f"beyond which nothing moves"
         )
-    return rate, warnings, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
+    return rate, cuts, warnings, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
 
 
 def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from synfog_usd.base.image import Image
+import numpy as np
+
+from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, within
 from synfog_usd.base.seeds import seed32
 from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot
@@ -18,8 +20,6 @@ from synfog_usd.dataset.scenes import cleared, pinhole_of
 from synfog_usd.dataset.session import Renderer, Session
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.pinhole import Pinhole
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from synfog_usd.render.film.aovs import Aovs
     from synfog_usd.render.picture import Rendered
     from synfog_usd.render.shot import Settings
-    from synfog_usd.scene import SceneDict
+    from synfog_usd.scene import Camera, SceneDict
     from synfog_usd.scene.transmittance import PartBoxes
 
 
@@ -38,20 +38,22 @@ class MeteredView:
     Attributes:
         exposure: see `camera.meter`; None where the graph says it.
         pixel: what a pixel makes of light, see `camera.sensitivity`, or None.
-        luminance: of the small frame that was metered [cd m-2].
+        mean_cd_m2: mean luminance of the small frame that was metered; 0 where none was.
         visible: what the ray through each pixel's centre meets.
         world: of the scene that was looked at.
         parts: of that world, see `transmittance.boxes_of`.
         further: name of a further graph -> how it exposes, see `BakePlan.meter_for`.
+        metered: of a frame of a clip, see `ClipFrame.metered`.
     """
 
     exposure: Exposure | None
     pixel: tuple[float, float] | None
-    luminance: np.ndarray
+    mean_cd_m2: float
     visible: Aovs
     world: Mapping[str, Any]
     parts: PartBoxes
     further: Mapping[str, Exposure]
+    metered: Mapping[str, Any]
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -81,20 +83,28 @@ def meter_view(
     plan: BakePlan,
     ready: Callable[[], None],
 ) -> MeteredView:
-    """Scenes without fog, the camera's own first, metered on small frames; the graph runs after `ready`."""
+    """Scenes without fog, the camera's own first, metered on small frames, or as a clip's frame was before; the graph
+    runs after `ready`.
+    """
     from synfog_usd import camera
     from synfog_usd.base import photometry
     from synfog_usd.render import models
     from synfog_usd.render.film import aovs
     from synfog_usd.scene import transmittance
 
-    graph = session.graph
-    frame, *side_frames = [session.frame(lighting, eye, scene) for eye, scene in clear.items()]
-    scene = next(iter(clear.values()))
+    graph, scene = session.graph, next(iter(clear.values()))
+    metered = dict(plan.clip.metered.get(lighting, {})) if plan.clip else {}
+    frame, *side_frames = (
+        [unlit(scene.camera)] if metered else [session.frame(lighting, eye, seen) for eye, seen in clear.items()]
+    )
     loaded = session.renderer.loaded_for(scene, models.AUTO)
     ready()
-    needed = camera.exposure_left_open(graph) or plan.exposes.is_said
-    exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.exposes.ev) if needed else None
+    exposure = None
+    if metered:
+        exposure = camera.Exposure(**{name: value for name, value in metered.items() if name != "frame"})
+    elif camera.exposure_left_open(graph) or plan.exposes.is_said:
+        exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.exposes.ev)
+        metered = {"frame": plan.clip.number, **asdict(exposure)} if plan.clip else {}
     if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
@@ -110,12 +120,20 @@ def meter_view(
     return MeteredView(
         exposure,
         pixel,
-        photometry.luminance(frame),
+        float(photometry.luminance(frame).mean()),
         aovs.measure(loaded),
         scene.world,
         transmittance.boxes_of(scene.world),
         further,
+        metered,
     )
+
+
+def unlit(eye: Camera) -> Image:
+    """A frame that tells of its camera alone."""
+    from synfog_usd.render.picture import view_of
+
+    return Image(np.zeros((1, 1, 3), dtype=np.float32), ("R", "G", "B"), Quantity.RADIANCE, provenance=view_of(eye))
 
 
 @dataclass(frozen=True)

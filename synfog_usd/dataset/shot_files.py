@@ -16,12 +16,11 @@ from synfog_usd.dataset import labels, lanes, objects, stereo, visibility
 from synfog_usd.dataset.plan import TOGETHER, BakePlan, noise_seed
 from synfog_usd.dataset.scenes import pinhole_of, size_of
 from synfog_usd.dataset.session import METER_WIDTH_PX
-from synfog_usd.dataset.shot import RenderedShot, density_of, pixel_noise, sensor_noise
+from synfog_usd.dataset.shot import MeteredView, RenderedShot, density_of, pixel_noise, sensor_noise
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from synfog_usd.camera.exposure import Exposure
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.pinhole import Pinhole
     from synfog_usd.dataset.drops import FallTime
@@ -174,7 +173,7 @@ def _row(result: RenderedShot, plan: BakePlan) -> dict[str, Any]:
         "target": _target(plan, view.pixel if view else None, rendered),
         "relative_error": float(f"{rendered.relative_error:.4g}"),
         "mottle": None if rendered.mottle is None else float(f"{rendered.mottle:.4g}"),
-        "exposure": _exposure(view.exposure, plan) if view and view.exposure else None,
+        "exposure": _exposure(view, plan) if view and view.exposure else None,
     }
     if view and view.further:
         row["further_exposures"] = {
@@ -186,8 +185,11 @@ def _row(result: RenderedShot, plan: BakePlan) -> dict[str, Any]:
     return row | {"warnings": [*rendered.warnings, *([black] if black else [])]}
 
 
-def _exposure(exposure: Exposure, plan: BakePlan) -> dict[str, Any]:
-    row: dict[str, Any] = {"exposure_s": exposure.exposure_s, "iso": exposure.iso}
+def _exposure(view: MeteredView, plan: BakePlan) -> dict[str, Any]:
+    assert view.exposure is not None
+    row: dict[str, Any] = {"exposure_s": view.exposure.exposure_s, "iso": view.exposure.iso}
+    if view.metered:
+        row["metered"] = view.metered
     if None in (plan.exposes.exposure_s, plan.exposes.iso):
         row |= _metered_on(plan)
     return row | ({"ev": plan.exposes.ev} if plan.exposes.ev else {})

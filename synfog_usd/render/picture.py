@@ -92,13 +92,16 @@ class About:
 
     def provenance(self) -> dict[str, Any]:
         """What a file of the picture says of it."""
-        camera = self.camera
-        view: dict[str, Any] = {"fov_x_deg": camera.fov_x_deg}
-        if camera.fisheye:
-            view = {"fisheye_coefficients": list(camera.fisheye.coefficients), "fisheye_fov_x_deg": camera.fov_x_deg}
-        shift_x, shift_y = camera.axis_shift
-        sampling = {"model": self.model, "samples": self.samples, "seed": self.seed}
-        return {**view, "shift_x": shift_x, "shift_y": shift_y, **sampling}
+        return {**view_of(self.camera), "model": self.model, "samples": self.samples, "seed": self.seed}
+
+
+def view_of(camera: Camera) -> dict[str, Any]:
+    """What a picture's provenance says of its camera."""
+    view: dict[str, Any] = {"fov_x_deg": camera.fov_x_deg}
+    if camera.fisheye:
+        view = {"fisheye_coefficients": list(camera.fisheye.coefficients), "fisheye_fov_x_deg": camera.fov_x_deg}
+    shift_x, shift_y = camera.axis_shift
+    return {**view, "shift_x": shift_x, "shift_y": shift_y}
 
 
 @dataclass(frozen=True)

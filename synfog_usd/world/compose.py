@@ -15,6 +15,7 @@ from pxr import Sdf, Tf
 from synfog_usd.base import resources, values
 from synfog_usd.base.errors import OutputError, RecipeError
 from synfog_usd.base.files import write_whole
+from synfog_usd.base.numbers import check_range
 from synfog_usd.base.yamlio import load_text
 from synfog_usd.world import parameters
 from synfog_usd.world.language import Draws, Recipe, load_root, read_fog
@@ -189,7 +190,13 @@ def _in_fogs(recipe: Recipe, fog: str | Sequence[str | int]) -> Recipe:
 
 
 def _changes(change: Mapping[str, Any] | Sequence[str], seconds: float | None, fps: float | None) -> list[str]:
-    """All changes as 'section.key=value'."""
+    """All changes as 'section.key=value'.
+
+    Raises:
+        ParameterError: `seconds` or `fps` out of range.
+    """
+    check_range("--seconds", seconds or None)
+    check_range("--fps", fps)
     if isinstance(change, Mapping):
         change = [f"{key}={json.dumps(value)}" for key, value in change.items()]
     times = {"seconds": seconds, "fps": fps}

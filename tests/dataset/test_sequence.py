@@ -37,7 +37,7 @@ from synfog_usd.render.shot import load
 from synfog_usd.scene.testing import scene, sky, uniform_fog, wall
 
 OPTIONS = (
-    *("--frames", "0:3", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
+    *("--frames", "0:4", "--fog", "clear", "--lighting", "sky", "--resolution", "48x28"),
     *("--samples", "4", "--quality", "reference"),
 )
 STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
@@ -45,7 +45,7 @@ STEP = "float inputs:intensity.timeSamples = { 1: 4000, 2: 32000 }"
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
-    """Four frames of a street whose sky is eight times as bright from the third on: the folder."""
+    """Five frames of a street whose sky is eight times as bright from the third on: the folder."""
     folder = tmp_path_factory.mktemp("sequence")
     text = street(sky=123.0).replace("float inputs:intensity = 123.0", STEP)
     assert STEP in text
@@ -62,14 +62,14 @@ def exposures(found):
 
 @pytest.mark.slow
 def test_the_exposure_follows_with_its_time_constant(clip):
-    """Light rises by 3 EV before the third frame; frames of 0.1 s, a time constant of 0.3 s: what is left of the way
-    falls by exp(-1/3) from frame to frame.
+    """Light rises by 3 EV before frame 2; frames of 0.1 s, a time constant of 0.3 s: frames 0 and 3 are metered, from
+    there on what is left of the way falls by exp(-1/3) from frame to frame.
     """
     _, found = clip
     assert found["frames_per_s"] == 10.0
     ev = np.log2(exposures(found))
-    wanted = ev[0] - 3.0 * (1.0 - np.exp([0.0, 0.0, -1.0 / 3.0, -2.0 / 3.0]))
-    np.testing.assert_allclose(ev, wanted, atol=0.02)  # EV; each frame is metered on 64 samples of its own
+    wanted = ev[0] - 3.0 * (1.0 - np.exp([0.0, 0.0, 0.0, -1.0 / 3.0, -2.0 / 3.0]))
+    np.testing.assert_allclose(ev, wanted, atol=0.02)  # EV; a frame is metered on 64 samples of its own
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_each_frame_is_a_bake_and_a_frame_of_cinemadng(clip):
     out, found = clip
     assert "clips/sky_clear/raw" in found["clips"]
     raws = sorted((out / "clips" / "sky_clear" / "raw").iterdir())
-    assert [path.name for path in raws] == [f"raw_{number:06d}.dng" for number in range(4)]
+    assert [path.name for path in raws] == [f"raw_{number:06d}.dng" for number in range(5)]
     for number, path in enumerate(raws):
         assert path.samefile(out / f"{number:06d}" / "sky" / "clear" / "raw.dng")
         with tifffile.TiffFile(path) as file:
@@ -95,7 +95,7 @@ def test_noise_is_new_in_each_frame(clip):
     own, and of the sensor's pattern (0.7 % beside shot noise of 2 %) an eighth in common.
     """
     out, found = clip
-    assert len({row["seed"] for row in found["frames"]}) == 4
+    assert len({row["seed"] for row in found["frames"]}) == 5
     frames = [tifffile.imread(out / f"{n:06d}" / "sky" / "clear" / "raw.dng").astype(float) for n in (0, 1)]
     steps = [
         [np.diff(frame[y::2, x:8:2], axis=1) for y, x in ((0, 0), (0, 1), (1, 0), (1, 1))]  # of the Bayer pattern
@@ -108,9 +108,9 @@ def test_noise_is_new_in_each_frame(clip):
 
 @pytest.mark.slow
 def test_it_goes_on_where_it_stopped(clip):
-    """With its third frame lost, the same command makes that one and keeps the others, and the bytes are the same."""
+    """With its last frame lost, the same command makes that one and keeps the others, and the bytes are the same."""
     out, found = clip
-    lost = out / "000002" / "sky" / "clear" / "raw.dng"
+    lost = out / "000004" / "sky" / "clear" / "raw.dng"
     before, kept = lost.read_bytes(), (out / "000001" / "sky" / "clear" / "raw.dng").stat().st_mtime_ns
     lost.unlink()
     done = run("bake", out.parent / "street.usda", "-o", out, *OPTIONS)
@@ -157,7 +157,7 @@ def test_frames_beside_a_frame_are_refused_and_one_code_is_no_sequence():
 @pytest.mark.slow
 @pytest.mark.skipif(bool(video.available()), reason=video.available())
 def test_a_clip_is_read_by_another_decoder(clip, tmp_path):
-    """dav1d, which is not the encoder's, finds four frames at 10 a second; and colours of a clip within 6 of 255 of
+    """dav1d, which is not the encoder's, finds five frames at 10 a second; and colours of a clip within 6 of 255 of
     what went in.
     """
     import av
@@ -173,7 +173,7 @@ def test_a_clip_is_read_by_another_decoder(clip, tmp_path):
     assert "clips/sky_clear/srgb.mp4" in found["clips"]
     rate, pictures = decoded(out / "clips" / "sky_clear" / "srgb.mp4")
     assert rate == 10.0
-    assert [picture.shape for picture in pictures] == [(28, 48, 3)] * 4
+    assert [picture.shape for picture in pictures] == [(28, 48, 3)] * 5
     flat = np.zeros((64, 96, 3), dtype=np.uint8)
     flat[:, :32], flat[:, 32:64], flat[:, 64:] = (200, 60, 40), (40, 180, 70), (50, 60, 210)
     video.write_clip(tmp_path / "flat.mp4", [flat] * 3, per_s=30000 / 1001)
