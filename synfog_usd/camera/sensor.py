@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -40,14 +39,8 @@ NUMBERS = Port(Quantity.DN, "mosaic")
 MAX_MEAN_E = 1e15
 """A million times any well; numpy draws Poisson numbers up to 9e18."""
 
-STRIPS = 4
-"""Parts that shot noise is drawn in, each with a stream of its own: the same whatever the number of processors."""
-
 TILE_PX = 256
 """Side of the parts in which fixed patterns are drawn [px]."""
-
-THREADS = 2
-"""Strips that are drawn at a time."""
 
 SPECIMEN_MARK = ":"
 """Between a profile's serial number and the specimen of a rig."""
@@ -185,11 +178,7 @@ def shot_noise(image: Image, *, rng: np.random.Generator) -> Image:
     """
     if (lowest := float(image.pixels.min())) < 0.0:
         raise ImageError(f"a mean of {lowest:g} electrons is below 0; shot noise comes before offsets and read noise")
-    means = image.pixels if image.pixels.max() <= MAX_MEAN_E else np.minimum(image.pixels, np.float32(MAX_MEAN_E))
-    counts = np.empty(means.shape, dtype=np.float32)
-    with ThreadPoolExecutor(THREADS) as pool:
-        parts = (np.array_split(pixels, STRIPS) for pixels in (means, counts))
-        list(pool.map(noise.poisson, rng.spawn(STRIPS), *parts))
+    counts = noise.poisson(rng, at_most(image.pixels, MAX_MEAN_E))
     return image.with_pixels(counts).with_metadata(shot_noise=True)
 
 
@@ -242,6 +231,13 @@ def dsnu(
     return image.with_pixels(image.pixels + np.float32(dsnu_e) * pattern_of(image, serial, "dsnu"))
 
 
+def _noisy(pixels: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
+    drawn = rng.standard_normal(pixels.shape, dtype=np.float32)
+    drawn *= np.float32(sigma)
+    drawn += pixels
+    return drawn
+
+
 @OPS.op("sensor.read_noise", takes=ELECTRONS, gives=READ_ELECTRONS)
 def read_noise(
     image: Image,
@@ -256,7 +252,7 @@ def read_noise(
         rng: the node's stream.
         sigma_e: standard deviation [e-].
     """
-    return image.with_pixels(noise.normal(rng, image.pixels, sigma_e)).with_metadata(read_noise_e=sigma_e)
+    return image.with_pixels(_noisy(image.pixels, sigma_e, rng)).with_metadata(read_noise_e=sigma_e)
 
 
 @OPS.op("sensor.gain", takes=ELECTRONS, gives=AMPLIFIED)
@@ -303,7 +299,7 @@ def adc_noise(
         rng: the node's stream.
         sigma_dn: standard deviation [DN].
     """
-    return image.with_pixels(noise.normal(rng, image.pixels, sigma_dn)).with_metadata(adc_noise_dn=sigma_dn)
+    return image.with_pixels(_noisy(image.pixels, sigma_dn, rng)).with_metadata(adc_noise_dn=sigma_dn)
 
 
 @OPS.op("sensor.row_column", takes=AMPLIFIED, gives=AMPLIFIED)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,19 +14,6 @@ COUNT = 1 << 20
 
 def stream():
     return seeds.stream(0, "noise")
-
-
-def test_normal_numbers_are_normal_and_know_nothing_of_each_other():
-    """Kolmogorov and Smirnov's test resolves 0.0016 of a probability; beyond 4 are 66.4 +- 8.2.  Numbers of one pair
-    share a radius: their squares must not be correlated, to within 5 / sqrt(n).
-    """
-    drawn = noise.normal(stream(), np.zeros(COUNT, np.float32)).astype(np.float64)
-    assert stats.kstest(drawn, "norm").pvalue > 1e-3
-    assert abs(np.count_nonzero(np.abs(drawn) > 4.0) - 2.0 * stats.norm.sf(4.0) * COUNT) < 5.0 * 8.2
-    pairs = drawn.reshape(-1, 2, noise.CHUNK // 2)
-    for first, second in ((pairs[:, 0], pairs[:, 1]), (drawn[:-1], drawn[1:])):
-        for power in (1, 2):
-            assert abs(np.corrcoef(first.ravel() ** power, second.ravel() ** power)[0, 1]) < 5.0 / first.size**0.5
 
 
 @pytest.mark.parametrize("mean", [0.0, 3.0, 63.5, 200.0])
@@ -55,12 +40,9 @@ def test_a_count_follows_its_own_mean_and_the_stream():
         assert own.mean() == pytest.approx(level, abs=5.0 * (level / own.size) ** 0.5)
         assert own.var() == pytest.approx(level, rel=5.0 * (3.0 / own.size) ** 0.5)
     np.testing.assert_array_equal(noise.poisson(stream(), mean), counts)
-    np.testing.assert_array_equal(noise.normal(stream(), mean), noise.normal(stream(), mean))
 
 
-def test_an_arm_processor_draws_the_same_numbers():
-    """SHA-256 of what Debian's Python with NumPy 2.4 drew on aarch64, in QEMU."""
-    normal = noise.normal(np.random.default_rng(3), np.zeros(100_000, np.float32))
-    counts = noise.poisson(np.random.default_rng(4), np.linspace(0.0, 5000.0, 100_000, dtype=np.float32))
-    assert hashlib.sha256(normal).hexdigest() == "bf2f09b0af101f64c0d1b9193428dcbde9e941cede119cf593617935442dcd0b"
-    assert hashlib.sha256(counts).hexdigest() == "735bf95828a843ae8b25bdfb6d7f9b84cb2cefc53c05cad193a05bb6d1a27ff7"
+def test_counts_of_one_stream_rise_together():
+    """As normal numbers do: at a third of the light the noise of a bright pixel is correlated by 0.99 and more."""
+    full, less = (noise.poisson(stream(), np.full(100_000, mean, np.float32)) for mean in (900.0, 300.0))
+    assert np.corrcoef(full, less)[0, 1] > 0.99
