@@ -1,6 +1,6 @@
 """Names of a package that are imported when they are used.
 
-Takes a package's name and where its names stand; knows nothing of what they are.
+Takes the name of a package, and of each name the module that has it; imports none of them.
 """
 
 from __future__ import annotations

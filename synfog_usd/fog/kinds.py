@@ -76,27 +76,33 @@ def medium_of(
     Raises:
         ParameterError: no such kind, a value outside its range, both values or none, or miepython is missing.
     """
+    _check(kind, mor_m, rate_mm_h, sizes)
+    if kind == FOG and sizes is None:
+        return FogMedium(_extinction(mor_m))
+    rated = KINDS[kind].rated
+    if rated and sizes is None and rate_mm_h is not None:
+        sizes = drops.rain_sizes(rate_mm_h) if kind == "rain" else drops.snow_sizes(rate_mm_h)
+    if sizes is None:
+        of_sizes, colours, phase = 0.0, _colours(kind), _phase(kind)
+    elif rated:
+        of_sizes, colours, phase = drops.extinction(kind, sizes, drops.PICTURE), _colours(kind), _phase(kind)
+    else:
+        of_sizes, colours, phase = _of_spheres(MATERIALS[kind], sizes)
+    albedo = 1.0 if colours is None else float(colours.albedo_at(550.0))
+    if mor_m is not None:  # as dense as one sees: no single drop is known
+        return FogMedium(_extinction(mor_m), albedo, phase=phase, colours=colours)
+    falls = ((kind, sizes),) if rated and sizes is not None else ()
+    return FogMedium(of_sizes, albedo, phase=phase, colours=colours, falls=falls)
+
+
+def _check(kind: str, mor_m: float | None, rate_mm_h: float | None, sizes: Sizes | None) -> None:
     if kind not in KINDS:
         raise ParameterError(f"kind {kind!r}: it takes {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}")
-    if (mor_m is None) == (rate_mm_h is None) and (mor_m is not None or sizes is None):
+    measures = [value for value in (mor_m, rate_mm_h) if value is not None]
+    if len(measures) == 2 or (not measures and sizes is None):
         raise ParameterError(f"{kind}: it takes a visibility [m] or a rate [mm/h], and one of them")
     if rate_mm_h is not None and not KINDS[kind].rated:
         raise ParameterError(f"{kind}: it takes a visibility [m]; rain and snow take a rate [mm/h]")
-    if KINDS[kind].rated:
-        colours, phase = _colours(kind), _phase(kind)
-        if rate_mm_h is not None and sizes is None:
-            sizes = drops.rain_sizes(rate_mm_h) if kind == "rain" else drops.snow_sizes(rate_mm_h)
-        sigma_t = 0.0 if sizes is None else drops.extinction(kind, sizes, drops.PICTURE)
-    elif sizes is not None:
-        sigma_t, colours, phase = _of_spheres(MATERIALS[kind], sizes)
-    elif kind == FOG:
-        return FogMedium(_extinction(mor_m))
-    else:
-        sigma_t, colours, phase = 0.0, _colours(kind), _phase(kind)
-    falls = ((kind, sizes),) if KINDS[kind].rated and sizes is not None and mor_m is None else ()
-    albedo = 1.0 if colours is None else float(colours.albedo_at(550.0))
-    sigma_t = sigma_t if mor_m is None else _extinction(mor_m)
-    return FogMedium(sigma_t, albedo, phase=phase, colours=colours, falls=falls)
 
 
 def _extinction(mor_m: float | None) -> float:

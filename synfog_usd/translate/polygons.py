@@ -212,7 +212,8 @@ def _cut(flat: Array) -> Indices:
 
     Source: mapbox earcut, which looks for what lies in an ear along a z-order curve.
     """
-    # Powers of two, so exact: edges as long across as along, or the curve finds nothing apart on a fine comb.
+    # Stretched until edges are as long in x as in y: on a fine comb the curve's cells would all hold the same corners.
+    # By powers of two, so that no corner is rounded.
     steps = np.abs(np.roll(flat, -1, axis=0) - flat).mean(axis=0)
     wide = flat * np.exp2(-np.round(np.log2(np.where(steps > 0.0, steps, 1.0))))
     ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(wide), np.array([len(wide)], dtype=np.uint32))

@@ -355,41 +355,44 @@ def _lanes(item: Located) -> tuple[tuple[str, Distribution, int], ...]:
             f"{item.place}: lane_section is {item.plain()!r}; it takes a list of lanes from left to right, as in "
             f"[{{lane: 3.5, way: 1}}]"
         )
-    lanes = []
-    for lane in item.value:
-        if not isinstance(lane.value, dict) or not lane.value:
-            raise RecipeError(
-                f"{lane.place}: a lane is {lane.plain()!r}; it takes {{KIND: width, way: 1 or -1}} with KIND one of "
-                f"{', '.join(KINDS)}"
-            )
-        kinds = [key for key in lane.value if key != "way"]
-        for key in kinds:
-            if key not in KINDS:
-                raise RecipeError(
-                    f"{lane.value[key].key_place}: no lane {key!r}; there are "
-                    f"{', '.join(KINDS)}.{did_you_mean(key, KINDS)}"
-                )
-        if len(kinds) != 1:
-            raise RecipeError(f"{lane.place}: a lane has one kind, found {', '.join(kinds) or 'none'}")
-        kind, way = kinds[0], 0
-        if "way" in lane.value:
-            way = lane.value["way"].value
-            if way not in (1, -1) or isinstance(way, bool):
-                raise RecipeError(
-                    f"{lane.value['way'].place}: way is {lane.value['way'].plain()!r}; it takes 1 (away from the "
-                    f"camera) or -1"
-                )
-        elif kind in DRIVEN:
-            raise RecipeError(f"{lane.place}: {kind} needs its way: 1 (away from the camera) or -1")
-        lanes.append(
-            (kind, read_distribution(lane.value[kind], f"lane_section: {kind}", LANE), way if kind in DRIVEN else 0)
-        )
+    lanes = tuple(map(_lane, item.value))
     ways = [way for _, _, way in lanes if way]
     if 1 not in ways:
         raise RecipeError(f"{item.place}: no lane has way 1, in which the camera drives")
     if ways != sorted(ways):
         raise RecipeError(f"{item.place}: lanes of way -1 lie left of those of way 1: traffic keeps to the right")
-    return tuple(lanes)
+    return lanes
+
+
+def _lane(item: Located) -> tuple[str, Distribution, int]:
+    """A lane's kind, width, and way: 1, -1, or 0 where nobody drives."""
+    if not isinstance(item.value, dict) or not item.value:
+        raise RecipeError(
+            f"{item.place}: a lane is {item.plain()!r}; it takes {{KIND: width, way: 1 or -1}} with KIND one of "
+            f"{', '.join(KINDS)}"
+        )
+    kinds = [key for key in item.value if key != "way"]
+    for kind in kinds:
+        if kind not in KINDS:
+            raise RecipeError(
+                f"{item.value[kind].key_place}: no lane {kind!r}; there are "
+                f"{', '.join(KINDS)}.{did_you_mean(kind, KINDS)}"
+            )
+    if len(kinds) != 1:
+        raise RecipeError(f"{item.place}: a lane has one kind, found {', '.join(kinds) or 'none'}")
+    way = _way(item, kinds[0])
+    return kinds[0], read_distribution(item.value[kinds[0]], f"lane_section: {kinds[0]}", LANE), way
+
+
+def _way(lane: Located, kind: str) -> int:
+    if "way" not in lane.value:
+        if kind in DRIVEN:
+            raise RecipeError(f"{lane.place}: {kind} needs its way: 1 (away from the camera) or -1")
+        return 0
+    way = lane.value["way"]
+    if way.value not in (1, -1) or isinstance(way.value, bool):
+        raise RecipeError(f"{way.place}: way is {way.plain()!r}; it takes 1 (away from the camera) or -1")
+    return int(way.value) if kind in DRIVEN else 0
 
 
 def _rows(item: Located, keys: Mapping[str, Parameter]) -> tuple[Row, ...]:

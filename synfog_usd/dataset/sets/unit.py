@@ -194,14 +194,7 @@ def _drawn(
     from synfog_usd.world.compose import draw, write_stage
     from synfog_usd.world.roads import stage
 
-    folder = out / layout.RUN / "work" / unit.folder.partition("/")[2]
-    shutil.rmtree(folder, ignore_errors=True)
-    try:
-        try:
-            folder.mkdir(parents=True)
-            (folder / "assets").symlink_to(resources.folder("assets").resolve(), target_is_directory=True)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written ({error.strerror})") from error
+    with _folder_beside_assets(out / layout.RUN / "work" / unit.folder.partition("/")[2]) as folder:
         with reading():
             recipe = with_weather(held_out(definition, planned.source, planned.split), planned.fogs)
             spec = draw(recipe, seed=planned.seed)
@@ -214,6 +207,23 @@ def _drawn(
             path = folder / "scene.usda"
             write_stage(path, lambda place: stage.author(place, spec, assets="./assets"))
         yield path, shown
+
+
+@contextlib.contextmanager
+def _folder_beside_assets(folder: Path) -> Iterator[Path]:
+    """A new folder with a link `assets` to the shipped ones, removed at the end.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        folder.mkdir(parents=True)
+        (folder / "assets").symlink_to(resources.folder("assets").resolve(), target_is_directory=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror})") from error
+    try:
+        yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
