@@ -8,7 +8,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from synfog_usd import camera
 from synfog_usd.base import resources
@@ -19,10 +18,8 @@ from synfog_usd.camera.graph import NodeGraph, drawing, reference
 from synfog_usd.camera.graph.op import Port
 from synfog_usd.camera.graph.schema import schema
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, shipped
+from synfog_usd.cli.options import GraphWords
 from synfog_usd.cli.worker import unheard
-
-if TYPE_CHECKING:
-    from synfog_usd.cli.main import GraphWords
 
 DEPTH = "depth"
 """Input, of data, that a bake's labels or the picture's own file can fill."""

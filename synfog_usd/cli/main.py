@@ -376,32 +376,9 @@ def graph_show(
     verb.show(pipeline, changes=change or [], mermaid=mermaid)
 
 
-@dataclass(kw_only=True)
-class GraphWords:
-    """Options of `graph run`."""
-
-    pipeline: options.Graph
-    source: Annotated[list[str], typer.Option("--in", help="NAME=FILE.exr, or FILE.exr for a graph with one input.")]
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the graph's outputs.")] = Path()
-    meter: Annotated[Path | None, typer.Option(help="EXR to meter on; the input itself if left out.")] = None
-    change: options.Overrides = None
-    until: Annotated[
-        str | None,
-        typer.Option(help="Run no further than this node, written as EXR, or this output, as raw or raw.dng."),
-    ] = None
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Mend radiance that is negative or not finite, instead of refusing it.")
-    ] = False
-    fov: Annotated[
-        float | None,
-        typer.Option(help="Horizontal field of view of the inputs [degrees]; else what they say, or lens and sensor."),
-    ] = None
-
-
 @graph_app.command("run")
 @options.spread
-def graph_run(words: GraphWords) -> None:
+def graph_run(words: options.GraphWords) -> None:
     """Run a graph on radiance of one's own."""
     from synfog_usd.cli import graph as verb
 

@@ -193,7 +193,8 @@ class _Work:
         from synfog_usd.camera.exposure import moments_of
         from synfog_usd.render.shot import check_memory
 
-        graph, ledger, plan = self._session.graph, self._ledger, self._plan
+        graph = self._session.graph
+        ledger, plan = self._ledger, self._plan
         for shot in self._unfinished:
             if shot in self._scenes.known:
                 check_memory(self._scenes.known[shot], self._settings)
@@ -278,7 +279,8 @@ class _Work:
         self._ledger.add_labels(write_labels(visible, first, self._plan, self._session.graph, pinhole, pierced, loaded))
 
     def _finish(self, shot: Shot, began: float, result: RenderedShot) -> None:
-        from synfog_usd.dataset.drops import falling_in, with_drops
+        from synfog_usd.dataset.drop_light import falling_in
+        from synfog_usd.dataset.drops import with_drops
 
         further = write_further(result, self._plan, self._specimen, self._moment) if falling_in(result.scene) else {}
         result = with_drops(result, self._session.graph, self._moment)

@@ -1,7 +1,7 @@
 """What lamps send to a camera by way of drops: each by its place, its beam, what is in its way and the drop's phase
 function.
 
-Takes the lamps of a scene; gives the radiance of drops at places, and its mean along lines of sight.
+Takes what falls and the lamps of a scene; gives the radiance of drops at places, and its mean along lines of sight.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from synfog_usd.base.arrays import Array, Flags, FloatArray, Indices
-from synfog_usd.fog.falling import NEAR_M
+from synfog_usd.fog.falling import NEAR_M, SizeClasses
+from synfog_usd.fog.kinds import medium_of
 from synfog_usd.fog.medium import FogMedium
+from synfog_usd.fog.volume import FogVolume
 from synfog_usd.scene import Camera, SceneDict
 
 if TYPE_CHECKING:
@@ -257,3 +259,33 @@ class Sightlines:
         at = np.stack([row * rows / height - 0.5, column * columns / width - 0.5, deep])
         planes = [map_coordinates(part, at, order=1, mode="nearest") for part in np.moveaxis(until, 3, 0)]
         return np.stack(planes, axis=2).astype(np.float32)
+
+
+def shade_of(scene: SceneDict, loaded: MitsubaScene) -> Shade | None:
+    """Of the lamps that light a scene's drops; None where none fall, or none shine, or rays end at fog's boundaries."""
+    from synfog_usd.render import backend
+
+    if loaded.boundaries or backend.is_scalar() or not falling_in(scene):
+        return None
+    lamps = lamps_of(scene)
+    return Shade.of(loaded, lamps) if lamps else None
+
+
+def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium, Array]]:
+    """What falls where the camera is, with the medium of it alone and the wind (3,) [m/s]; nothing in a density grid,
+    whose rain is of no one rate.
+    """
+    of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
+    return [
+        (of_kind[kind](sizes), medium_of(kind, sizes=sizes), np.array(volume.wind_m_s))
+        for volume in volumes_around(scene)
+        for kind, sizes in volume.medium.falls
+    ]
+
+
+def volumes_around(scene: SceneDict) -> list[FogVolume]:
+    """The innermost volumes in which the camera is, without density grids."""
+    eye_m = scene.camera.to_world[:3, 3]
+    inside = {index: volume for index, volume in enumerate(scene.fog) if volume.boundary.contains(eye_m)[0]}
+    around = {volume.parent for volume in inside.values()}
+    return [volume for index, volume in inside.items() if index not in around and volume.medium.grid is None]

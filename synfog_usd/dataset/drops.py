@@ -17,21 +17,26 @@ from synfog_usd.base.arrays import Array, FloatArray, total
 from synfog_usd.base.image import Image
 from synfog_usd.base.numbers import RGB
 from synfog_usd.base.seeds import seed32
-from synfog_usd.dataset.drop_light import FARTHEST_M, PointLamp, Shade, Sightlines, lamps_of, scattered
+from synfog_usd.dataset.drop_light import (
+    FARTHEST_M,
+    PointLamp,
+    Sightlines,
+    falling_in,
+    lamps_of,
+    scattered,
+    volumes_around,
+)
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.fog import falling
 from synfog_usd.fog.falling import Cone, Drops, SizeClasses
-from synfog_usd.fog.kinds import medium_of
 from synfog_usd.fog.medium import FogMedium
-from synfog_usd.fog.volume import FogVolume
 
 if TYPE_CHECKING:
     from synfog_usd.camera.graph import NodeGraph
     from synfog_usd.camera.streaks import Shutter, Streaks
     from synfog_usd.dataset.session import Session
     from synfog_usd.dataset.shot import RenderedShot
-    from synfog_usd.render.load import MitsubaScene
-    from synfog_usd.scene import Camera, SceneDict
+    from synfog_usd.scene import Camera
 
 RESOLVED_PX = 0.15
 """Diameter in the picture of the drops that are drawn [px]; what is smaller there stays in the medium."""
@@ -146,36 +151,6 @@ def _falls(
     return falls, depth
 
 
-def shade_of(scene: SceneDict, loaded: MitsubaScene) -> Shade | None:
-    """Of the lamps that light a scene's drops; None where none fall, or none shine, or rays end at fog's boundaries."""
-    from synfog_usd.render import backend
-
-    if loaded.boundaries or backend.is_scalar() or not falling_in(scene):
-        return None
-    lamps = lamps_of(scene)
-    return Shade.of(loaded, lamps) if lamps else None
-
-
-def falling_in(scene: SceneDict) -> list[tuple[SizeClasses, FogMedium, Array]]:
-    """What falls where the camera is, with the medium of it alone and the wind (3,) [m/s]; nothing in a density grid,
-    whose rain is of no one rate.
-    """
-    of_kind = {"rain": SizeClasses.of_rain, "snow": SizeClasses.of_snow}
-    return [
-        (of_kind[kind](sizes), medium_of(kind, sizes=sizes), np.array(volume.wind_m_s))
-        for volume in _around(scene)
-        for kind, sizes in volume.medium.falls
-    ]
-
-
-def _around(scene: SceneDict) -> list[FogVolume]:
-    """The innermost volumes in which the camera is, without density grids."""
-    eye_m = scene.camera.to_world[:3, 3]
-    inside = {index: volume for index, volume in enumerate(scene.fog) if volume.boundary.contains(eye_m)[0]}
-    around = {volume.parent for volume in inside.values()}
-    return [volume for index, volume in inside.items() if index not in around and volume.medium.grid is None]
-
-
 def reach_of(sizes: SizeClasses, view: Projection) -> Array:
     """(K,) distance [m] within which a camera tells the drops of a class apart, and they are drawn."""
     middles = 0.5 * (sizes.edges_m[1:] + sizes.edges_m[:-1])
@@ -254,7 +229,7 @@ def light_on_drops(result: RenderedShot, lamps: Sequence[PointLamp]) -> FloatArr
     stopped = gaussian_filter(1.0 - rendered.aovs.transmittance, spread)
     sent = np.maximum(total(airlight), 0.0)
     if lamps:
-        medium = next(volume.medium for volume in _around(scene) if volume.medium.falls)
+        medium = next(volume.medium for volume in volumes_around(scene) if volume.medium.falls)
         lines = Sightlines.of(scene.camera, lamps, medium, FARTHEST_M, result.shade)
         share = medium.albedo * (1.0 - np.exp(-medium.sigma_t_per_m * lines.ends_m))
         sent = sent - lines.sum(share, rendered.aovs.distance_m)

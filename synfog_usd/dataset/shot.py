@@ -184,7 +184,7 @@ def sample_shot(
     """Sample one shot, and once more for each part of its exposure that is asked for by itself where things move; what
     makes its pictures.
     """
-    from synfog_usd.dataset.drops import shade_of
+    from synfog_usd.dataset.drop_light import shade_of
     from synfog_usd.render.media.medium import measured_depth
     from synfog_usd.render.shot import sample
     from synfog_usd.scene import transmittance

@@ -9,8 +9,8 @@ import pytest
 
 from synfog_usd import camera
 from synfog_usd.base.image import Image, Quantity
-from synfog_usd.dataset.drop_light import Sightlines, lamps_of, scattered
-from synfog_usd.dataset.drops import FallTime, falling_in, reach_of, shade_of, streaks_of, with_drops
+from synfog_usd.dataset.drop_light import Sightlines, falling_in, lamps_of, scattered, shade_of
+from synfog_usd.dataset.drops import FallTime, reach_of, streaks_of, with_drops
 from synfog_usd.dataset.objects import Projection
 from synfog_usd.dataset.plan import Shot
 from synfog_usd.dataset.shot import RenderedShot
