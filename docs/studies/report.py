@@ -18,6 +18,7 @@ from typing import Any
 from synfog_usd.base import files, resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
+from synfog_usd.base.progress import duration
 from synfog_usd.lab.study import verdicts
 from synfog_usd.lab.study.chart import ChartPlan, chart
 from synfog_usd.lab.study.points import TARGETS, Point, summary
@@ -71,8 +72,7 @@ def _words(points: Mapping[str, Sequence[Point]]) -> str:
         for word in QUALITIES:
             point = by_word.get(word)
             cells.append(
-                f"{verdicts.duration(point.seconds)}, {point.samples}, {percent(point.relative_rms)}, "
-                f"{percent(point.mottle)}"
+                f"{duration(point.seconds)}, {point.samples}, {percent(point.relative_rms)}, {percent(point.mottle)}"
                 if point
                 else "not run"
             )

@@ -48,10 +48,10 @@ def _summary(job: BakeJob, baked: Baked) -> str:
     """How many shots, cameras or frames there are now, and where."""
     out, manifest = job.plan.out, baked.manifest
     if job.codes is not None:
-        clips = [
-            clip for sequence in (manifest if isinstance(manifest, list) else [manifest]) for clip in sequence["clips"]
-        ]
-        return f"{len(job.codes)} frame{'s' * (len(job.codes) > 1)} in {out}: {', '.join(clips)}"
+        frames = f"{len(job.codes)} frame{'s' * (len(job.codes) > 1)}"
+        if isinstance(manifest, list):
+            return f"{frames} of each of {len(manifest)} cameras in {out}: rig.json lists their folders"
+        return f"{frames} in {out}: {', '.join(manifest['clips'])}"
     if "cameras" in manifest:
         sheets = ", ".join(str(out / row["folder"] / "contact.png") for row in manifest["cameras"])
         return f"{len(manifest['cameras'])} cameras in {out}: look at {sheets}"

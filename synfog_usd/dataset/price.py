@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from synfog_usd.base import system
 from synfog_usd.base.errors import OutputError
+from synfog_usd.base.progress import duration
 from synfog_usd.dataset.plan import BakePlan, shots
 
 if TYPE_CHECKING:
@@ -49,9 +50,10 @@ def tell_before(plan: BakePlan, session: Session, count: int, log: Callable[[str
         for frame_s, sample_s, usual in zip(FRAME_S, SAMPLE_S, TARGETED, strict=True)
     )
     size = count * pixels * (FRAME_B + len(every) * SHOT_B)
+    frames, cores = f"{count} frame{'s take' if count > 1 else ' takes'}", system.cores()
     log(
-        f"{plan.out}: {count} frames take {duration(low / system.cores())} to {duration(high / system.cores())} on "
-        f"{system.cores()} cores, and about {size / 1e9:.2g} GB"
+        f"{plan.out}: {frames} {duration(low / cores)} to {duration(high / cores)} on {cores} cores, and about "
+        f"{size / 1e9:.2g} GB"
     )
     _check_room(plan.out, count, size, ROOM * size)
 
@@ -64,10 +66,11 @@ def tell_by(frame: Path, seconds: float, count: int, log: Callable[[str], None])
     """
     size = sum(path.stat().st_size for path in frame.rglob("*") if path.is_file())
     frames_to_come = count - 2
-    log(
-        f"{frame.parent}: {count} frames, about {seconds:.2g} s and {size / 1e6:.2g} MB each: "
-        f"{duration(frames_to_come * seconds)} and {frames_to_come * size / 1e9:.2g} GB more"
-    )
+    if frames_to_come:
+        log(
+            f"{frame.parent}: {count} frames, about {seconds:.2g} s and {size / 1e6:.2g} MB each: "
+            f"{duration(frames_to_come * seconds)} and {frames_to_come * size / 1e9:.2g} GB more"
+        )
     _check_room(frame.parent, count, frames_to_come * size, frames_to_come * size)
 
 
@@ -78,12 +81,3 @@ def _check_room(out: Path, count: int, size: float, least: float) -> None:
             f"{out}: {count} frames take about {size / 1e9:.2g} GB more, and {free / 1e9:.2g} GB are free; choose "
             f"another output folder, fewer --frames or a smaller --resolution"
         )
-
-
-def duration(seconds: float) -> str:
-    """A time in words.
-
-    >>> duration(7200.0), duration(90.0)
-    ('2 hours', '1.5 minutes')
-    """
-    return f"{seconds / 3600.0:.2g} hours" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} minutes"

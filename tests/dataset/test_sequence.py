@@ -371,7 +371,7 @@ def test_a_clip_too_large_for_its_disk_is_refused_before_its_first_frame(tmp_pat
     caplog.set_level("INFO", "synfog_usd")
     with pytest.raises(OutputError, match=r"10000 frames take about 1.9 GB more, and 0.001 GB are free"):
         sf.bake(stage_of(tmp_path), tmp_path / "out", frames="0:9999", **SMALL)
-    assert re.search(r"10000 frames take \S+ hours to \S+ hours on \d+ cores, and about 1.9 GB", caplog.text)
+    assert re.search(r"10000 frames take \S+ h to \S+ h on \d+ cores, and about 1.9 GB", caplog.text)
     assert not list((tmp_path / "out").rglob("*.exr"))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from synfog_usd.base.progress import duration
 from synfog_usd.lab.study.points import Point, summary
 
 
@@ -52,11 +53,3 @@ def ratio(row: Mapping[str, Any], who: str = "best") -> str:
         return ""
     value = float(row[f"{who}_speedup"])
     return f"{value:.0f}x" if value >= 9.95 else f"{value:.1f}x"
-
-
-def duration(value: float) -> str:
-    """Two or three digits in the unit that fits: '0.43 s' or '7.5 min'."""
-    for size, unit in ((3600.0, "h"), (60.0, "min")):
-        if value >= 2.0 * size:
-            return f"{value / size:,.0f} {unit}" if value >= 10.0 * size else f"{value / size:.1f} {unit}"
-    return f"{value:.0f} s" if value >= 9.95 else f"{value:.2g} s"
