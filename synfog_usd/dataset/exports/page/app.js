@@ -182,7 +182,6 @@
     const row = DATA.rows[number];
     at("grid").hidden = at("bar").hidden = true;
     at("shot").hidden = false;
-    at("name").textContent = row[NAME];
     const place = shown.indexOf(number);
     at("previous").disabled = place <= 0;
     at("next").disabled = place < 0 || place >= shown.length - 1;
@@ -197,6 +196,7 @@
         view = data;
         highlighted = 0;
       } catch (error) {
+        at("name").textContent = row[NAME];
         at("pointer").textContent = `This picture cannot be shown: ${error.message}.`;
         return;
       }
@@ -214,7 +214,8 @@
     at("stage").style.maxWidth = `calc(76vh * ${view.size[0] / view.size[1]})`;
     at("pointer").textContent = "Point at the picture.";
     await slide();
-    document.body.dataset.ready = row[NAME];
+    if (opened !== number) return;
+    at("name").textContent = document.body.dataset.ready = row[NAME];
   }
 
   // ---- clips
@@ -265,21 +266,29 @@
   let asked = 0;
   async function slide() {
     const ticket = ++asked, value = Number(at("slider").value), low = Math.floor(value), share = value - low;
-    const one = series[low], other = series[Math.min(low + 1, series.length - 1)];
-    const set = (image, picture) => { if (image.getAttribute("src") !== picture.screen) image.src = picture.screen; };
+    const one = series[low], other = series[Math.min(low + 1, series.length - 1)], picture = current();
+    const fog = view.fogs[picture.fog];
+    if (!fog.plane) fog.plane = await readPlane(fog.transmittance);
+    if (picture.raw && !picture.raw.plane) picture.raw.plane = await readPlane(picture.raw.uri);
+    await Promise.all([one, other].map((each) => decoded(each.screen)));
+    if (ticket !== asked || !view) return;
+    const set = (image, { screen }) => { if (image.getAttribute("src") !== screen) image.src = screen; };
     set(at("under"), one);
     set(at("over"), other);
     at("over").style.opacity = share;
-    const picture = current();
     at("fogname").textContent = share && share < 1 ? `${one.fog} → ${other.fog}` : picture.mor_m === null ? picture.fog : `${picture.fog} (${picture.mor_m} m)`;
     at("under").alt = picture.name;
     fillTable();
     fillFiles(picture);
     drawHistogram(picture);
-    const fog = view.fogs[picture.fog];
-    if (!fog.plane) fog.plane = await readPlane(fog.transmittance);
-    if (picture.raw && !picture.raw.plane) picture.raw.plane = await readPlane(picture.raw.uri);
-    if (ticket === asked && view) { drawPlane(); drawMarks(); }
+    drawPlane();
+    drawMarks();
+  }
+
+  function decoded(uri) { // so that a picture and its boxes change together
+    const image = new Image();
+    image.src = uri;
+    return image.decode().catch(() => null);
   }
 
   function fillTable() {
