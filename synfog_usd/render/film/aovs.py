@@ -115,14 +115,10 @@ def measure(loaded: MitsubaScene, *, batch: int = RAYS, progress: Progress = sil
         progress("what is seen", low / count)
         parts.append(_measured(tracer, np.arange(low, min(low + batch, count))))
     distance, depth, normal, instance, part, through = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return Aovs(
-        distance.reshape(shape),
-        depth.reshape(shape),
-        normal.reshape(*shape, 3),
-        instance.reshape(shape),
-        part.reshape(shape),
-        through.reshape(shape),
+    distance, depth, instance, part, through = (
+        plane.reshape(shape) for plane in (distance, depth, instance, part, through)
     )
+    return Aovs(distance, depth, normal.reshape(*shape, 3), instance, part, through)
 
 
 def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, Indices, Indices, Array]:
@@ -149,9 +145,7 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
             break
         hits = tracer.trace(origin[alive], direction[alive])
         leaked = ~hits.valid & (medium[alive] >= 0)
-        if (
-            leaked.any()
-        ):  # the ray slipped through an edge between two triangles of a boundary: it must leave the fog somewhere
+        if leaked.any():  # through an edge between two triangles of a boundary: it must leave the fog somewhere
             _replace_rows(hits, leaked, tracer.trace(origin[alive[leaked]], direction[alive[leaked]] + NUDGE))
         alive, hits = alive[hits.valid], _rows(hits, hits.valid)
         for index, volume in enumerate(fog):
@@ -172,9 +166,8 @@ def _measured(tracer: _Tracer, pixels: Indices) -> tuple[Array, Array, Array, In
 
     if fog and not loaded.boundaries:
         tau = measured_depth(fog, eye, direction, distance)
-    depth = np.where(
-        np.isfinite(distance), np.where(np.isfinite(distance), distance, 0.0) * (direction @ forward), np.inf
-    )
+    near = np.isfinite(distance)
+    depth = np.where(near, np.where(near, distance, 0.0) * (direction @ forward), np.inf)
     return distance, depth, normal, instance, part, np.exp(-tau)
 
 
@@ -438,21 +431,12 @@ class _Tracer:
         passing = backend.channel_mean(mi.Color3f(si.bsdf().eval_null_transmission(si, valid)))
         shape, instance = backend.indices_of(si.shape), backend.indices_of(si.instance)
         front, vectors = dr.dot(si.n, ray.d) < 0.0, (si.p, si.spawn_ray(ray.d).o, si.sh_frame.n)
-        dr.eval(
-            valid, passing, shape, instance, front, vectors, si.prim_index, row
-        )  # together: else each would trace the rays again
+        # together: else each would trace the rays again
+        dr.eval(valid, passing, shape, instance, front, vectors, si.prim_index, row)
         rank, placed = self.lookup[np.array(shape)], self.lookup[np.array(instance)]
-        face = np.array(si.prim_index, dtype=np.int64)
-        return (
-            np.array(valid),
-            *(backend.rows(item) for item in vectors),
-            np.array(front),
-            rank,
-            placed,
-            face,
-            np.array(passing, dtype=np.float64),
-            np.array(row),
-        )
+        face, see_through = np.array(si.prim_index, dtype=np.int64), np.array(passing, dtype=np.float64)
+        places = (backend.rows(item) for item in vectors)
+        return np.array(valid), *places, np.array(front), rank, placed, face, see_through, np.array(row)
 
     def _trace_scalar(self, origin: Array, direction: Array) -> tuple[npt.NDArray[Any], ...]:
         mi, rows = self.mi, list[tuple[Any, ...]]()
@@ -462,24 +446,8 @@ class _Tracer:
                 rows.append((False, o, o, d, False, 0, 0, 0, 0.0, 0))
                 continue
             passing = float(np.mean(np.array(si.bsdf().eval_null_transmission(si, mi.Bool(True)))))
-            rank, placed = (
-                self.rank.get(id(si.shape), 0),
-                self.rank.get(id(si.instance), 0) if si.instance is not None else 0,
-            )
+            rank, placed = self.rank.get(id(si.shape), 0), self.rank.get(id(si.instance), 0)
             facing = float(np.dot(np.array(si.n), d)) < 0.0
-            onward = np.array(si.spawn_ray(mi.Vector3f(d)).o)
-            rows.append(
-                (
-                    True,
-                    np.array(si.p),
-                    onward,
-                    np.array(si.sh_frame.n),
-                    facing,
-                    rank,
-                    placed,
-                    si.prim_index,
-                    passing,
-                    0,
-                )
-            )
+            vectors = np.array(si.p), np.array(si.spawn_ray(mi.Vector3f(d)).o), np.array(si.sh_frame.n)
+            rows.append((True, *vectors, facing, rank, placed, si.prim_index, passing, 0))
         return tuple(np.array([row[index] for row in rows]) for index in range(10))
