@@ -27,13 +27,18 @@ if TYPE_CHECKING:
 
 __all__ = open_door(
     __name__,
-    "dataset.frames: load render",
-    "fog: Fog",
-    "dataset.photo: develop cameras",
-    "dataset.job: bake",
-    "dataset.check: check",
-    "world.compose: compose recipes",
-    "dataset.sets.run: make_set",
-    "dataset.sets.index: pictures",
-    "base.errors: SynfogError",
+    {
+        "load": "synfog_usd.dataset.frames",
+        "render": "synfog_usd.dataset.frames",
+        "develop": "synfog_usd.dataset.photo",
+        "cameras": "synfog_usd.dataset.photo",
+        "Fog": "synfog_usd.fog",
+        "bake": "synfog_usd.dataset.job",
+        "check": "synfog_usd.dataset.check",
+        "compose": "synfog_usd.world.compose",
+        "recipes": "synfog_usd.world.compose",
+        "make_set": "synfog_usd.dataset.sets.run",
+        "pictures": "synfog_usd.dataset.sets.index",
+        "SynfogError": "synfog_usd.base.errors",
+    },
 )

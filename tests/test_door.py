@@ -70,7 +70,7 @@ def test_type_checkers_see_the_names_that_there_are():
     tree = ast.parse(Path(sf.__file__).read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
     seen = {alias.asname: (line.module, alias.name) for line in block.body for alias in line.names}
-    assert seen == {name: (f"synfog_usd.{module}", name) for name, module in sf._places.items()}
+    assert seen == {name: (module, name) for name, module in sf._places.items()}
     assert sorted(sf.__all__) == sorted(seen) and {*dir(sf)} == {*seen, "__version__"}
     for name in seen:
         assert getattr(sf, name).__doc__, name

@@ -13,20 +13,20 @@ from typing import Any
 
 
 class Door(ModuleType):
-    """A package whose names are looked up in its modules.
+    """A package whose names are looked up in other modules.
 
     Python puts each imported module beside them, and one may have a name of theirs, as `render`: the name stays.
     """
 
     _places: Mapping[str, str] = {}
-    """Name -> the module below the package that has it."""
+    """Name -> the module that has it."""
 
     def __getattr__(self, name: str) -> Any:
         if name not in self._places:
             raise AttributeError(
                 f"module {self.__name__!r} has no attribute {name!r}; it has {', '.join(self._places)}"
             )
-        value = getattr(importlib.import_module(f"{self.__name__}.{self._places[name]}"), name)
+        value = getattr(importlib.import_module(self._places[name]), name)
         vars(self)[name] = value
         return value
 
@@ -38,18 +38,17 @@ class Door(ModuleType):
             super().__setattr__(name, value)
 
 
-def open_door(package: str, *places: str) -> list[str]:
-    """Offer names of a package's modules at the package itself.
+def open_door(package: str, places: Mapping[str, str]) -> list[str]:
+    """Offer names of other modules at a package.
 
     Args:
         package: `__name__` of the package.
-        places: 'module: name name': a module below the package, and the names that are offered of it.
+        places: name -> the module that has it.
 
     Returns:
         `__all__` of the package.
     """
     door = sys.modules[package]
     door.__class__ = Door
-    pairs = [place.split(": ") for place in places]
-    vars(door)["_places"] = {name: module for module, names in pairs for name in names.split()}
-    return sorted(vars(door)["_places"])
+    vars(door)["_places"] = places
+    return sorted(places)
