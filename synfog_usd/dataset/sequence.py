@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from synfog_usd.dataset.bake import Baked, bake
 from synfog_usd.dataset.ledger import EARLIER
 from synfog_usd.dataset.plan import BakePlan, ClipFrame, shots
 from synfog_usd.dataset.session import Reading, Session, begin, one_camera
+
+if TYPE_CHECKING:
+    from synfog_usd.stage import Stage
 
 SEQUENCE = "sequence.json"
 CAMERA = "camera.json"
@@ -188,7 +191,7 @@ class _FrameLog:
             self.passed_on.add(text)
 
 
-def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, list[float], list[str], list[str]]:
+def _read(stage: Stage, plan: BakePlan, codes: Sequence[float]) -> tuple[float, list[float], list[str], list[str]]:
     """Time codes a second of the stage, those at which its camera cuts, what a user should know, and its lightings.
 
     Raises:
@@ -210,6 +213,11 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
             f"{path} cuts at the time code {code:g}: the clip, its flow and its exposure go on over it; bake the "
             f"frames before and after it by themselves"
         )
+    for thing, (code, way_m) in usd.jumps(stage, np.asarray(codes)).items():
+        warnings.append(
+            f"{thing} jumps {way_m:.3g} m to the time code {code:g}, and its flow goes on over it; smooth its time "
+            f"samples, or make it invisible at the frame before"
+        )
     if len(codes) > 1 and _stands_still(stage, plan, codes):
         warnings.append(
             f"nothing changes between the time codes {codes[0]:g} and {codes[-1]:g}: the video is a still; animate it "
@@ -225,7 +233,7 @@ def _read(stage: Any, plan: BakePlan, codes: Sequence[float]) -> tuple[float, li
     return rate, cuts, warnings, list(dict.fromkeys(shot.lighting for shot in shots(plan, usd.variants(stage))))
 
 
-def _stands_still(stage: Any, plan: BakePlan, codes: Sequence[float]) -> bool:
+def _stands_still(stage: Stage, plan: BakePlan, codes: Sequence[float]) -> bool:
     """Whether no lighting and fog of a plan shows anything that changes."""
     from synfog_usd import stage as usd
 

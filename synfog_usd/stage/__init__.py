@@ -19,7 +19,7 @@ from synfog_usd.stage.open import (
     variant_choices,
     variants,
 )
-from synfog_usd.stage.over_time import cuts, over_time
+from synfog_usd.stage.over_time import cuts, jumps, over_time
 from synfog_usd.stage.rulebook import Finding
 from synfog_usd.stage.schema import register
 from synfog_usd.stage.still import stands_still

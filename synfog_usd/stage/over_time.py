@@ -84,6 +84,8 @@ def over_time(stage: Usd.Stage) -> list[Finding]:
     codes = np.arange(first, last + 1e-6, every)
     result = list(_cuts(stage, codes))
     users = list(_users(stage, codes))
+    known = {user.path for user in users}
+    result += [_jump(path, *jump) for path, jump in jumps(stage, codes).items() if path not in known]
     if not any(user.moves for user in users):
         return result
     lanes, ground = _lanes(stage), _Ground.below(stage, users, first)
@@ -230,8 +232,11 @@ def _jumps(user: User, codes: Array, step_s: float) -> Iterator[Finding]:
     if bad.any():
         k = int(np.argmax(bad))
         k -= bool(k == 1 and length[0] > length[1])  # nothing is before the first step
-        text = f"frame {codes[k + 1]:g}: jumps {length[k]:.2g} m within a frame; smooth its time samples"
-        yield finding("jumps", user.path, text)
+        yield _jump(user.path, codes[k + 1], length[k])
+
+
+def _jump(path: str, code: float, length_m: float) -> Finding:
+    return finding("jumps", path, f"frame {code:g}: jumps {length_m:.2g} m within a frame; smooth its time samples")
 
 
 def _leaps(places: Array, both: Flags, step_s: float) -> tuple[Flags, Array]:
@@ -244,6 +249,35 @@ def _leaps(places: Array, both: Flags, step_s: float) -> tuple[Flags, Array]:
     change = np.r_[0.0, np.linalg.norm(np.diff(way, axis=0), axis=1) * (both[1:] & both[:-1])]
     length = np.linalg.norm(way, axis=1) * both
     return (change > max(JUMP_M, HARDEST * step_s**2)) | (length > max(JUMP_M, FASTEST * step_s)), length
+
+
+@plain_errors
+def jumps(stage: Usd.Stage, codes: Array) -> dict[str, tuple[float, float]]:
+    """What goes faster from one frame to the next than anything on a road: path -> time code at which it is there
+    first, and the way [m].
+
+    Of prims that move the outermost ones are looked at, but for those that carry a camera, of which `cuts` tells.
+    """
+    if len(codes) < 2:
+        return {}
+    step_s = abs(codes[1] - codes[0]) / stage.GetTimeCodesPerSecond()
+    to_metres, result = _to_metres(stage), dict[str, tuple[float, float]]()
+    every = [prim for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if prim.IsA(UsdGeom.Camera)]
+    carriers = {above.GetPath() for camera in every for above in _chain(camera)}
+    prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim.GetPath() in carriers or not prim.IsA(UsdGeom.Xformable):
+            continue
+        if UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+            prims.PruneChildren()
+            places, shown = (_matrices(prim, codes) @ to_metres)[:, 3, :3], _shown(prim, codes)
+            with np.errstate(invalid="ignore", over="ignore"):  # of places that are no numbers nothing is said
+                length = np.linalg.norm(np.diff(places, axis=0), axis=1) * (shown[1:] & shown[:-1])
+            fast = length > max(JUMP_M, FASTEST * step_s)
+            if fast.any():
+                first = int(np.argmax(fast))
+                result[str(prim.GetPath())] = float(codes[first + 1]), float(length[first])
+    return result
 
 
 # -- cameras

@@ -307,8 +307,9 @@ def test_cuts_teleports_and_what_comes_and_goes_are_as_the_stage_has_them(tmp_pa
         )
     )
     clip = as_alone(stage_of(tmp_path, text), tmp_path, "0:2")
-    (told,) = json.loads((clip / "sequence.json").read_text())["warnings"]
-    assert told.startswith("/World/Rig/Left cuts at the time code 2:")
+    cut, jump = json.loads((clip / "sequence.json").read_text())["warnings"]
+    assert cut.startswith("/World/Rig/Left cuts at the time code 2:")
+    assert jump.startswith("/World/Car jumps 19.6 m to the time code 1,")
     shown = []
     for number in range(3):
         rows = json.loads((clip / f"{number:06d}" / "labels.json").read_text())["instances"]
