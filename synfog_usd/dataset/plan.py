@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from synfog_usd.base import numbers
 from synfog_usd.base.errors import ParameterError, did_you_mean
@@ -30,6 +30,16 @@ MOST_UNASKED = 1000
 """Shots of a stage whose lightings or fogs nobody has named: an hour and more, if each took but four seconds."""
 
 
+class Metered(TypedDict):
+    """What was metered on a frame of a clip, as `bake.json` has it: the frame's number, and `camera.Exposure`."""
+
+    frame: int
+    exposure_s: float
+    iso: float
+    mean_cd_m2: float
+    limit: Literal["none", "bright", "dark"]
+
+
 @dataclass(frozen=True)
 class ClipFrame:
     """A frame of a sequence.
@@ -39,8 +49,7 @@ class ClipFrame:
         per_s: frames a second.
         adaptation_s: time constant of the automatic exposure [s]; 0 for one that follows without delay.
         before: lighting -> (exposure time [s], ISO) of the frame before; empty for the first.
-        metered: lighting -> `Exposure` that was metered last, and `frame`, the number of the frame on which it was;
-            empty for a frame that is metered itself.
+        metered: lighting -> what was metered last; empty for a frame that is metered itself.
         kept: folder of a shot -> rounds of samples of the frame before, see `Settings.kept`; empty for the first.
     """
 
@@ -48,7 +57,7 @@ class ClipFrame:
     per_s: float
     adaptation_s: float
     before: Mapping[str, tuple[float, float]]
-    metered: Mapping[str, Mapping[str, Any]]
+    metered: Mapping[str, Metered]
     kept: Mapping[str, Sequence[Mapping[str, int]]]
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.base.progress import Progress, within
 from synfog_usd.base.seeds import seed32
-from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Shot
+from synfog_usd.dataset.plan import CLEAR, TOGETHER, BakePlan, Metered, Shot
 from synfog_usd.dataset.scenes import cleared, pinhole_of
 from synfog_usd.dataset.session import Renderer, Session
 
@@ -43,7 +43,7 @@ class MeteredView:
         world: of the scene that was looked at.
         parts: of that world, see `transmittance.boxes_of`.
         further: name of a further graph -> how it exposes, see `BakePlan.meter_for`.
-        metered: of a frame of a clip, see `ClipFrame.metered`.
+        metered: of a frame of a clip, or None.
     """
 
     exposure: Exposure | None
@@ -53,7 +53,7 @@ class MeteredView:
     world: Mapping[str, Any]
     parts: PartBoxes
     further: Mapping[str, Exposure]
-    metered: Mapping[str, Any]
+    metered: Metered | None
 
     @property
     def noise(self) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -93,7 +93,7 @@ def meter_view(
     from synfog_usd.scene import transmittance
 
     graph, scene = session.graph, next(iter(clear.values()))
-    metered = dict(plan.clip.metered.get(lighting, {})) if plan.clip else {}
+    metered = plan.clip.metered.get(lighting) if plan.clip else None
     frame, *side_frames = (
         [unlit(scene.camera)] if metered else [session.frame(lighting, eye, seen) for eye, seen in clear.items()]
     )
@@ -101,10 +101,10 @@ def meter_view(
     ready()
     exposure = None
     if metered:
-        exposure = camera.Exposure(**{name: value for name, value in metered.items() if name != "frame"})
+        exposure = camera.Exposure(metered["exposure_s"], metered["iso"], metered["mean_cd_m2"], metered["limit"])
     elif camera.exposure_left_open(graph) or plan.exposes.is_said:
         exposure = camera.meter(frame, graph, side_frames=side_frames, compensation_ev=plan.exposes.ev)
-        metered = {"frame": plan.clip.number, **asdict(exposure)} if plan.clip else {}
+        metered = metered_on(plan.clip.number, exposure) if plan.clip else None
     if exposure and plan.clip and (before := plan.clip.before.get(lighting)):
         exposure = camera.adapted(
             exposure, before, graph, elapsed_s=1.0 / plan.clip.per_s, constant_s=plan.clip.adaptation_s
@@ -126,6 +126,17 @@ def meter_view(
         transmittance.boxes_of(scene.world),
         further,
         metered,
+    )
+
+
+def metered_on(frame: int, exposure: Exposure) -> Metered:
+    """What was metered on a frame of a clip."""
+    return Metered(
+        frame=frame,
+        exposure_s=exposure.exposure_s,
+        iso=exposure.iso,
+        mean_cd_m2=exposure.mean_cd_m2,
+        limit=exposure.limit,
     )
 
 

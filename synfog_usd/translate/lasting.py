@@ -5,9 +5,16 @@ Takes an opened stage; is empty again as soon as anything on the stage changes, 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Hashable
+from typing import TypeAlias
 
-from pxr import Tf, Usd
+from pxr import Sdf, Tf, Usd
+
+Signature: TypeAlias = tuple[Hashable, ...]
+"""All that is authored on a material and below it."""
+
+Specs: TypeAlias = tuple[tuple[str, Sdf.Path, float, float], ...]
+"""Where a prim is authored: layer, path there, and offset and scale of its times."""
 
 
 class Lasting:
@@ -21,10 +28,10 @@ class Lasting:
     """
 
     def __init__(self, stage: Usd.Stage) -> None:
-        self.signatures: dict[str, tuple[Any, ...] | None] = {}
+        self.signatures: dict[str, Signature] = {}
         self.empty: dict[str, bool] = {}
         self.elsewhere: dict[str, bool] = {}
-        self.specs: dict[str, tuple[tuple[Any, ...], bool]] = {}
+        self.specs: dict[str, tuple[Specs, bool]] = {}
         self._listener = Tf.Notice.Register(Usd.Notice.ObjectsChanged, self._forget, stage)
 
     def _forget(self, *_: object) -> None:

@@ -20,7 +20,7 @@ from synfog_usd.translate import spectrum
 from synfog_usd.translate.diagnostics import Diagnostics
 from synfog_usd.translate.finite import tell_inputs
 from synfog_usd.translate.inputs import DISPLAY, VERTEX_COLOR, Bsdf, Lookup, PrimvarUse, SurfaceInputs, rgb
-from synfog_usd.translate.lasting import Lasting
+from synfog_usd.translate.lasting import Lasting, Signature
 from synfog_usd.translate.primvars import PrimvarValue
 from synfog_usd.translate.shader import file_of, flag_of, number_of, shader_id
 from synfog_usd.translate.shading import GREY, MATERIALX, OMNI_PBR, PREVIEW, InputNames
@@ -37,9 +37,6 @@ _CONTEXTS = ("", "mtlx", "mdl")
 
 _UNREADABLE = (Tf.ErrorException, ArithmeticError, TypeError, ValueError, LookupError, AttributeError)
 """What is raised for an opinion that no shader can mean; the rest of the stage is drawn all the same."""
-
-Signature: TypeAlias = tuple[Any, ...]
-"""All that is authored on a material and below it."""
 
 Values: TypeAlias = tuple[PrimvarValue | None, ...]
 """What a shape gives for each primvar that its material reads."""
@@ -166,7 +163,7 @@ class Materials:
         """All that is authored on a material and below it, equal for instances of a model with the same material; None
         where a source lies elsewhere, or a value is more than a few numbers, a word or a file.
         """
-        path, entries, varies = str(material.GetPath()), list[Any](), False
+        path, entries, varies = str(material.GetPath()), list[Signature](), False
         if path in self.lasting.signatures:
             return self.lasting.signatures[path]
         for prim in Usd.PrimRange(material):
@@ -176,7 +173,7 @@ class Materials:
                 varies |= attribute.ValueMightBeTimeVarying()
                 if value is None:  # as `shader.value_of` has it
                     value = attribute.Get(_EARLIEST)
-                entry: Signature = (attribute.GetName(), type(value), value)
+                entry: Signature = (attribute.GetName(), type(value).__name__, value)
                 if isinstance(value, Sdf.AssetPath):
                     if "<UDIM>" in value.path:
                         return None

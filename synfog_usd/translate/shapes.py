@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias, TypeVar
 
@@ -34,7 +34,7 @@ from synfog_usd.translate.walk import Leaf
 Part: TypeAlias = tuple[dict[str, Any], dict[str, Any] | None, float]
 """A shape, its emission or None, and the luminance of that."""
 
-Meshes: TypeAlias = dict[tuple[Any, ...], dict[str, Any]]
+Meshes: TypeAlias = dict[tuple[Hashable, ...], dict[str, Any]]
 """Everything authored on a mesh with its place and finish -> its shape."""
 
 K = TypeVar("K")
@@ -74,8 +74,8 @@ class Shapes:
         self.ahead: dict[str, Arrays] = {}
         self.finite: dict[str, bool] = {}
         self._remembers = False
-        self._pieces_of: dict[tuple[Any, ...], list[Triangles | None]] = {}
-        self._shape_of: dict[tuple[Any, ...], dict[str, Any]] = {}
+        self._pieces_of: dict[tuple[Hashable, ...], list[Triangles | None]] = {}
+        self._shape_of: dict[tuple[Hashable, ...], dict[str, Any]] = {}
 
     @contextlib.contextmanager
     def one_mesh(self) -> Iterator[None]:
@@ -86,7 +86,7 @@ class Shapes:
         finally:
             self._remembers = False
 
-    def _once(self, memory: dict[tuple[Any, ...], K], key: tuple[Any, ...], make: Callable[[], K]) -> K:
+    def _once(self, memory: dict[tuple[Hashable, ...], K], key: tuple[Hashable, ...], make: Callable[[], K]) -> K:
         """The result of a function, remembered within `one_mesh`."""
         if not self._remembers:
             return make()
@@ -211,7 +211,7 @@ class Shapes:
             self.drawn[signature] = parts[0][0]
         return parts
 
-    def _drawn_before(self, signature: tuple[Any, ...]) -> dict[str, Any] | None:
+    def _drawn_before(self, signature: tuple[Hashable, ...]) -> dict[str, Any] | None:
         """The shape of a mesh that was drawn already, in this translation or the one before."""
         shape = self.drawn.get(signature) or (self.meshes or {}).get(signature)
         if shape is not None:
@@ -234,7 +234,7 @@ class Shapes:
             )
         return uv, next(iter(reads), None)
 
-    def _piece(self, leaf: Leaf, triangles: Triangles, finish: Finish, key: tuple[Any, ...]) -> list[Part]:
+    def _piece(self, leaf: Leaf, triangles: Triangles, finish: Finish, key: tuple[Hashable, ...]) -> list[Part]:
         """Triangles of a mesh with one finish; and their back, where it shines too.
 
         Args:
@@ -314,7 +314,7 @@ class Shapes:
         parts = (geometry.part(polygons, mask, smooth_normals=smooth) for mask in masks)
         return [None if triangles is None else geometry.placed(triangles, matrix) for triangles in parts]
 
-    def _signature(self, leaf: Leaf, matrix: Array, finish: Finish, color: str | None) -> tuple[Any, ...] | None:
+    def _signature(self, leaf: Leaf, matrix: Array, finish: Finish, color: str | None) -> tuple[Hashable, ...] | None:
         """Everything that determines a mesh: the specs of its prim, its place and finish; None where more does."""
         if self.meshes is None or finish.colored or "MeshLightAPI" in leaf.schemas:
             return None

@@ -8,7 +8,7 @@ the way is integrated in closed form.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
     from drjit.auto.ad import Bool, Float64, UInt32
     from mitsuba import Point3f, Ray3f, Shape, SurfaceInteraction3f, Vector3f
+
+Float = TypeVar("Float", float, "Float64")
+"""A number, or one of each lane."""
 
 MAX_CROSSINGS = 256
 
@@ -274,6 +277,19 @@ def _replace_rows(hits: Hits, at: Flags, better: Hits) -> None:
         getattr(hits, name)[at] = getattr(better, name)
 
 
+def _behind(began: Float, growth: Float, at: Float, leaves: Float) -> tuple[Float, Float]:
+    """Where a ray goes on behind a surface, see `_Tracer.pierced`.
+
+    Args:
+        began, growth: of its way to the surface.
+        at: way [m] from the eye to the surface; leaves: to where the renderer would go on.
+    """
+    least = STEP * (1.0 + at)
+    growth = dr.select(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)
+    further = at + growth * least
+    return dr.select(leaves > further, leaves, further), growth
+
+
 class _Tracer:
     """Rays in, numpy rows out, in any variant."""
 
@@ -372,9 +388,8 @@ class _Tracer:
             hits = self.trace(eye + began[:, None] * direction, direction)
             ids = np.where(hits.see_through < 0.5, hits.instance_id, 0)
             at, leaves = (np.sum((place - eye) * direction, axis=1) for place in (hits.position, hits.onward))
-            least = STEP * (1.0 + at)
-            growth = np.where(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)
-            return ids[None], np.maximum(leaves, at + growth * least), growth, hits.valid
+            further = np.array([_behind(*row) for row in np.stack([began, growth, at, leaves], axis=1).tolist()])
+            return ids[None], *further.T, hits.valid
         mi = self.mi
         met = [dr.zeros(mi.UInt32, steps * len(eye)) for _ in range(4)]
         rays = backend.points(eye), mi.Vector3f(backend.points(direction)), mi.Float64(began), mi.Float64(growth)
@@ -410,10 +425,8 @@ class _Tracer:
                 dr.scatter(target, number, place, solid)
             at = dr.dot(mi.Point3d(si.p) - from_eye, along)
             leaves = dr.dot(mi.Point3d(si.spawn_ray(direction).o) - from_eye, along)
-            least = STEP * (1.0 + at)
-            grown = dr.select(at - began < 4.0 * growth * least, 2.0 * growth, 1.0)
-            growth = dr.select(alive, grown, growth)
-            began = dr.select(alive, dr.maximum(leaves, at + growth * least), began)
+            further, grown = _behind(began, growth, at, leaves)
+            began, growth = dr.select(alive, further, began), dr.select(alive, grown, growth)
             place += lanes
         return began, growth, alive
 
