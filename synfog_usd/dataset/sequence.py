@@ -213,9 +213,9 @@ def _read(stage: Stage, plan: BakePlan, codes: Sequence[float]) -> tuple[float, 
             f"{path} cuts at the time code {code:g}: the clip, its flow and its exposure go on over it; bake the "
             f"frames before and after it by themselves"
         )
-    for thing, (code, way_m) in usd.jumps(stage, np.asarray(codes)).items():
+    for prim, (code, way_m) in usd.jumps(stage, np.asarray(codes)).items():
         warnings.append(
-            f"{thing} jumps {way_m:.3g} m to the time code {code:g}, and its flow goes on over it; smooth its time "
+            f"{prim} jumps {way_m:.3g} m to the time code {code:g}, and its flow goes on over it; smooth its time "
             f"samples, or make it invisible at the frame before"
         )
     if len(codes) > 1 and _stands_still(stage, plan, codes):

@@ -84,8 +84,8 @@ def over_time(stage: Usd.Stage) -> list[Finding]:
     codes = np.arange(first, last + 1e-6, every)
     result = list(_cuts(stage, codes))
     users = list(_users(stage, codes))
-    known = {user.path for user in users}
-    result += [_jump(path, *jump) for path, jump in jumps(stage, codes).items() if path not in known]
+    labelled = {user.path for user in users}
+    result += [_jump(path, *jump) for path, jump in jumps(stage, codes).items() if path not in labelled]
     if not any(user.moves for user in users):
         return result
     lanes, ground = _lanes(stage), _Ground.below(stage, users, first)
@@ -262,8 +262,8 @@ def jumps(stage: Usd.Stage, codes: Array) -> dict[str, tuple[float, float]]:
         return {}
     step_s = abs(codes[1] - codes[0]) / stage.GetTimeCodesPerSecond()
     to_metres, result = _to_metres(stage), dict[str, tuple[float, float]]()
-    every = [prim for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if prim.IsA(UsdGeom.Camera)]
-    carriers = {above.GetPath() for camera in every for above in _chain(camera)}
+    cameras = [prim for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()) if prim.IsA(UsdGeom.Camera)]
+    carriers = {above.GetPath() for camera in cameras for above in _chain(camera)}
     prims = iter(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
     for prim in prims:
         if prim.GetPath() in carriers or not prim.IsA(UsdGeom.Xformable):
