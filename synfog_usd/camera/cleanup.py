@@ -10,18 +10,21 @@ from typing import Annotated
 
 import numpy as np
 
-from synfog_usd.base.arrays import FloatArray, planar
+from synfog_usd.base.arrays import Flags, FloatArray, planar
 from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image
 from synfog_usd.camera import cfa
 from synfog_usd.camera.graph import FromProfile, Range
-from synfog_usd.camera.isp import DISPLAY, PICTURE, SENSED, pattern_of
+from synfog_usd.camera.isp import DISPLAY, PICTURE, SATURATED, SENSED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 
 REACH_PX = (1, 2)
 """How far off the neighbours are among which `isp.false_colour` takes medians, one after the other."""
+
+LOST_PX, AROUND_PX = 3, 5
+"""Sides of the squares in which a saturated pixel spoils the colour, and from whose other pixels it is taken."""
 
 STRIP_PX = 96
 """Rows that `isp.false_colour` treats at a time, so that they stay in a cache."""
@@ -89,6 +92,9 @@ def false_colour(image: Image) -> Image:
     Green, which carries the detail, stays, and so does an edge between two colours, since a median keeps steps.
     Coloured things of one or two pixels lose their colour.
 
+    At the rim of what saturates green, R - G and B - G are those of the pixels around: a far lamp is white whichever
+    filter it falls on.  A lamp of several pixels keeps the colour of its middle.
+
     Args:
         image: picture behind `isp.demosaic`; one without R, G and B stays as it is.
 
@@ -97,15 +103,18 @@ def false_colour(image: Image) -> Image:
     if image.channels != ("R", "G", "B"):
         return image
     pixels = planar(image.pixels.shape)
-    rim = sum(REACH_PX)
+    rim = sum(REACH_PX) + (LOST_PX + AROUND_PX) // 2
     for top in range(0, image.height_px, STRIP_PX):
         first = max(top - rim, 0)
         rows = image.pixels[first : top + STRIP_PX + rim]
         inner = slice(top - first, top - first + STRIP_PX)
         green = rows[..., 1]
         pixels[top : top + STRIP_PX, :, 1] = green[inner]
+        known = _known_colour(green) if (green >= SATURATED).any() else None
         for channel in (0, 2):
             difference = rows[..., channel] - green
+            if known is not None:
+                difference[~known] = _mean_of(difference, known)[~known]
             for reach in REACH_PX:
                 _median_of_three(difference, reach)
                 if (width := image.width_px) > 2 * reach:
@@ -165,6 +174,24 @@ def starlet_noise(levels: int) -> list[float]:
         sigmas.append(float(np.sqrt((padded @ padded) ** 2 + (wide @ wide) ** 2 - 2.0 * (padded @ wide) ** 2)))
         narrow = wide
     return sigmas
+
+
+def _known_colour(green: FloatArray) -> Flags:
+    """Where the pixel and those beside it are all saturated in green, or none is."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    saturated = green >= SATURATED
+    some, all_of_them = (of(saturated, LOST_PX, mode="mirror") for of in (maximum_filter, minimum_filter))
+    return np.asarray(all_of_them | ~some)
+
+
+def _mean_of(plane: FloatArray, known: Flags) -> FloatArray:
+    """Mean of the known pixels in the square around each; 0 where there are none."""
+    from scipy.ndimage import uniform_filter
+
+    share = uniform_filter(known.astype(np.float32), AROUND_PX, mode="mirror")
+    total = uniform_filter(np.where(known, plane, np.float32(0.0)), AROUND_PX, mode="mirror")
+    return np.where(share > 0.5 / AROUND_PX**2, total / np.maximum(share, np.float32(1e-6)), np.float32(0.0))
 
 
 def _median_of_three(plane: FloatArray, reach: int) -> None:

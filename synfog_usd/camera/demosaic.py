@@ -16,7 +16,7 @@ from synfog_usd.base.errors import ImageError
 from synfog_usd.base.image import Image
 from synfog_usd.camera import cfa
 from synfog_usd.camera.graph import FromProfile
-from synfog_usd.camera.isp import MOSAIC, PICTURE, pattern_of
+from synfog_usd.camera.isp import MOSAIC, PICTURE, SATURATED, pattern_of
 from synfog_usd.camera.profiles import SensorProfile
 from synfog_usd.camera.registry import OPS
 
@@ -27,6 +27,9 @@ the pattern's first row.
 
 HALO_PX = 6
 """How far beside a pixel others count; even, so that the pattern's phase stays."""
+
+SPOILT_PX = 7
+"""Side of the square in which a saturated pixel spoils what is interpolated."""
 
 
 @OPS.op("isp.demosaic", takes=MOSAIC, gives=PICTURE)
@@ -107,7 +110,33 @@ def _directional(mosaic: FloatArray, pattern: str) -> FloatArray:
     picture = planar((height, width, 3))
     for rows in strips(height, STRIP_ROWS):
         _directional_strip(mosaic[rows], signed[rows.start : rows.stop + 2 * HALO_PX], pattern, picture[rows])
+    _bound_by_neighbours(picture, mosaic, pattern)
     return picture
+
+
+def _bound_by_neighbours(picture: FloatArray, mosaic: FloatArray, pattern: str) -> None:
+    """Around saturated pixels no colour leaves the range that its own filter has in the 3 x 3 pixels around, in place.
+
+    A saturated pixel is too low, and so are differences to it: a lamp would get a rim of another colour or a black one.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    saturated = mosaic >= SATURATED
+    if not saturated.any():
+        return
+    beside = maximum_filter(saturated, SPOILT_PX, mode="mirror") & ~minimum_filter(saturated, SPOILT_PX, mode="mirror")
+    rows, columns = np.nonzero(beside)
+    filters = cfa.factors(pattern, range(3), 2, 2).astype(int)
+    around, place = np.pad(mosaic, 1, mode="reflect"), np.arange(rows.size)
+    lowest = np.full((3, rows.size), np.inf, np.float32)
+    highest = np.full((3, rows.size), -np.inf, np.float32)
+    for down in range(3):
+        for right in range(3):
+            value = around[rows + down, columns + right]
+            number = filters[(rows + down + 1) % 2, (columns + right + 1) % 2]
+            lowest[number, place] = np.minimum(lowest[number, place], value)
+            highest[number, place] = np.maximum(highest[number, place], value)
+    picture[rows, columns] = np.clip(picture[rows, columns], lowest.T, highest.T)
 
 
 def _directional_strip(mosaic: FloatArray, signed: FloatArray, pattern: str, out: FloatArray) -> None:

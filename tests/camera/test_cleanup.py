@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from synfog_usd.base import seeds
 from synfog_usd.base.image import Image, Quantity
+from synfog_usd.camera.cfa import sites
 from synfog_usd.camera.cleanup import denoise, false_colour, sharpen
+from synfog_usd.camera.demosaic import demosaic
 
 WELL_E, READ_E = 6000.0, 5.0
 SHOT, DARK = 1.0 / WELL_E, (READ_E / WELL_E) ** 2
@@ -75,7 +78,7 @@ def test_colour_differences_become_medians_as_scipy_takes_them():
     """Over rows of a strip and of the next; within three pixels of the rim the order of the four passes shows."""
     from scipy.ndimage import median_filter
 
-    pixels = seeds.stream(2, "false colour").random((140, 33, 3), dtype=np.float32)
+    pixels = np.float32(0.9) * seeds.stream(2, "false colour").random((140, 33, 3), dtype=np.float32)
     out = false_colour(picture(pixels)).pixels
     np.testing.assert_array_equal(out[..., 1], pixels[..., 1])
     for channel in (0, 2):
@@ -87,6 +90,34 @@ def test_colour_differences_become_medians_as_scipy_takes_them():
                 expected = median_filter(expected, footprint=three)
         inside = (slice(6, -6), slice(6, -6))
         np.testing.assert_array_equal(out[..., channel][inside], (pixels[..., 1] + expected)[inside])
+
+
+def lamp(colour, side_px, at) -> np.ndarray:
+    """R - G and B - G (20, 20, 2) of a lamp before a grey of 0.1 as a sensor of RGGB takes it, cut at 1."""
+    light = np.full((20, 20, 3), 0.1)
+    light[at[0] : at[0] + side_px, at[1] : at[1] + side_px] += colour
+    light = gaussian_filter(light, (0.6, 0.6, 0.0))
+    cells = np.empty((20, 20))
+    for where, number in sites("RGGB"):
+        cells[where] = light[(*where, number)]
+    out = false_colour(demosaic(mosaic(np.minimum(cells, 1.0)))).pixels
+    return out[..., [0, 2]] - out[..., 1:2]
+
+
+@pytest.mark.parametrize("at", [(9, 9), (9, 10), (10, 9), (10, 10)])
+@pytest.mark.parametrize("brightness", [10.0, 30.0, 1000.0])
+def test_a_far_white_lamp_is_white_whichever_filter_it_falls_on(at, brightness):
+    """Of one pixel, 2 to 200 times what saturates one: else red, green or purple of up to 0.2."""
+    assert np.abs(lamp(np.full(3, brightness), 1, at)).max() < 0.04
+
+
+@pytest.mark.parametrize("colour, sign", [((1.0, 0.06, 0.02), 1.0), ((0.02, 1.0, 0.5), -1.0)])
+def test_a_lamp_of_several_pixels_keeps_its_colour(colour, sign):
+    """Ten times what saturates its own filter: red is red, and green is green, in the middle and nowhere else."""
+    red = lamp(10.0 * np.array(colour), 5, (8, 8))[..., 0] * sign
+    assert red.max() > 0.3
+    assert np.argwhere(red > 0.3).min() >= 6
+    assert np.argwhere(red > 0.3).max() <= 14
 
 
 # ---- sharpen
