@@ -10,16 +10,13 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from assets.builders.person import Person
 from assets.builders.solids import Field, blob_distance, carve, gradient, limb_distance, soft_max, soft_min, surface
 from synfog_usd.world.shapes import Array, Part, strip, tube
-
-if TYPE_CHECKING:
-    from assets.builders.people import Person
 
 GOLDEN = 2.4
 """Angle [rad] from one crease round a limb to the next, so that none lies above its neighbour."""

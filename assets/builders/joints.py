@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from assets.builders.people import PEOPLE, RIDER, Person, fields_of, kind_of, pose
+from assets.builders.people import PEOPLE, RIDER, fields_of
+from assets.builders.person import Person, kind_of, pose
 from assets.builders.wayfarers import CYCLIST, WALKERS
 from synfog_usd.world.parameters import WALKERS as WALK
 

@@ -15,8 +15,6 @@ import numpy as np
 from assets.builders.coachwork import lamp_states
 from assets.builders.hands import hands
 from assets.builders.people import (
-    BAR,
-    Person,
     build_bicycle,
     cut_by_role,
     dressed,
@@ -26,6 +24,7 @@ from assets.builders.people import (
     person_parts,
     soled,
 )
+from assets.builders.person import BAR, Person
 from assets.builders.solids import split
 from synfog_usd.world.components import Component, Look, MountedLamp
 from synfog_usd.world.materials import PAINTS, PALETTE, Material
