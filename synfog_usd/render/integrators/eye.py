@@ -1,4 +1,4 @@
-"""The eye: rays through points and pixels of a view, in traced code."""
+"""The eye: rays through points and pixels of a view, and what a split first segment carries, in traced code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.motion import moved
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Bool
+    from drjit.auto.ad import Bool, Float
     from mitsuba import Color3f, Point2f, Ray3f
 
     from synfog_usd.render.sampling.sobol import Sobol
+    from synfog_usd.render.spectra.bands import SampledSpectrum
 
 LENS_M = 1e-3
 """Near plane [m] up to which a ray is begun at the lens itself."""
@@ -55,3 +56,14 @@ class Eye:
         if camera.moves:
             ray = moved(ray, camera, place.y, sampler.next_1d(active))
         return ray, weight
+
+
+def split_camera_segment(
+    share: Float, throughput: SampledSpectrum, scale: Float, sampler: Sobol, at_eye: Bool
+) -> tuple[SampledSpectrum, Float]:
+    """Throughput of the side of the camera's segment that is followed, whose `share` is T or 1 - T. A faint
+    one faces Russian roulette, and its weight is the new scale.
+    """
+    chance = dr.minimum(4.0 * share, 1.0)
+    share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
+    return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)

@@ -17,7 +17,7 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.integrators.light_groups import LightGroups
-from synfog_usd.render.lights.importance import PICKS, Gloss, Importance, LitFaces, Picks, emitter_index
+from synfog_usd.render.lights.importance import Gloss, Importance, LitFaces, emitter_index
 from synfog_usd.render.lights.panes import Panes
 from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.lights.sampler import LightSampler
@@ -25,6 +25,7 @@ from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
 from synfog_usd.render.media.medium import Medium
+from synfog_usd.render.sampling.reservoir import PICKS, Picks
 from synfog_usd.render.surface import lit_from
 
 if TYPE_CHECKING:

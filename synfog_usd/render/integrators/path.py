@@ -53,7 +53,7 @@ from synfog_usd.render.film.accumulator import (
 )
 from synfog_usd.render.film.allocation import accumulate_by_estimator
 from synfog_usd.render.integrators import lamps
-from synfog_usd.render.integrators.eye import Eye
+from synfog_usd.render.integrators.eye import Eye, split_camera_segment
 from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.integrators.next_event import NextEvent, Previous, lamp_faces, mis_weight
 from synfog_usd.render.integrators.tasks import Tasks
@@ -183,7 +183,7 @@ class FogPath:
         assert asks is not None
         first_segment = {LAMPS: lamps.trace_lamps, DIRECT: lamps.trace_direct, LIT: lamps.trace_lit}
         if estimator in first_segment:
-            return first_segment[estimator](self, asks, pixel, first, count, seed)
+            return first_segment[estimator](self.eye, asks, pixel, first, count, seed)
         inscattered = estimator in (INSCATTERED, INSCATTERED_OF_LAMPS)
         return self.trace_paths(asks, inscattered, pixel, first, count, seed)
 
@@ -276,7 +276,7 @@ class FogPath:
                     medium_scattered |= some
                 else:
                     share = medium.transmittance_inside(ray.o, ray.d, near, fog_end, sampler, at_eye)
-                throughput, scale = self.split_camera_segment(share, throughput, scale, sampler, at_eye)
+                throughput, scale = split_camera_segment(share, throughput, scale, sampler, at_eye)
             carries = dr.max(throughput) > 0.0  # Russian roulette of the camera's segment ends the others here
             surface_hit, medium_scattered = surface_hit & carries, medium_scattered & carries
 
@@ -443,16 +443,6 @@ class FogPath:
             return mi.Float(0.0), mi.Float(0.0), mi.Float(dr.inf)
         near, far = self.medium.intersect(ray.o, ray.d)
         return near, far, self.medium.sample_flight(ray.o, ray.d, near, far, u, sampler, may_scatter)
-
-    def split_camera_segment(
-        self, share: Float, throughput: SampledSpectrum, scale: Float, sampler: Sobol, at_eye: Bool
-    ) -> tuple[SampledSpectrum, Float]:
-        """(3) Throughput of the side of the camera's segment that is followed, whose `share` is T or 1 - T. A faint
-        one faces Russian roulette, and its weight is the new scale.
-        """
-        chance = dr.minimum(4.0 * share, 1.0)
-        share = dr.select(sampler.next_1d(at_eye) < chance, share / dr.maximum(chance, 1e-30), 0.0)
-        return dr.select(at_eye, throughput * share, throughput), dr.select(at_eye, dr.maximum(share, 1e-30), scale)
 
     def roulette(self, throughput: SampledSpectrum, scale: Float, depth: UInt32, faint: float) -> Float:
         """(11) Chance of a path to go on: rr_prob after RR_DEPTH vertices, less where it carries little."""

@@ -24,6 +24,7 @@ from synfog_usd.base.arrays import Array
 from synfog_usd.render import backend
 from synfog_usd.render.lights.rows import summaries
 from synfog_usd.render.media.medium import Medium
+from synfog_usd.render.sampling.reservoir import Picks
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
     from synfog_usd.render.lights.sampler import LightSampler
     from synfog_usd.render.load import MitsubaScene
     from synfog_usd.render.sampling.sobol import Sobol
-
-PICKS = 4
-"""Lights that are drawn."""
 
 SIDE = 32
 """Texels along each side of a light's octahedral table (Cigolle et al. 2014); 5 degrees."""
@@ -267,49 +265,6 @@ class LitFaces:
 def emitter_index(emitter: Emitter) -> int:
     """The number by which kernels know an emitter."""
     return backend.index_of(backend.mitsuba().EmitterPtr(emitter))
-
-
-class Picks:
-    """The lights that are drawn so far, for each lane.
-
-    Attributes:
-        number: of each.
-        weight: of each.
-        total: of all weights so far.
-        u: random numbers, used again and again as what is left of them.
-    """
-
-    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
-
-    def __init__(self) -> None:
-        mi = backend.mitsuba()
-        type(self).DRJIT_STRUCT = {"u": mi.Vector4f, "weight": mi.Vector4f, "number": mi.Vector4u, "total": mi.Float}
-        self.u, self.weight, self.number, self.total = mi.Vector4f(0.0), mi.Vector4f(0.0), mi.Vector4u(0), mi.Float(0.0)
-
-    def update(self, index: UInt32, weight: Float) -> Picks:
-        """After one more light."""
-        mi = backend.mitsuba()
-        after = Picks()
-        after.total = self.total + weight
-        share = weight / dr.maximum(after.total, 1e-30)
-        replaces = self.u < share
-        after.u = dr.clip(
-            dr.select(replaces, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)),
-            0.0,
-            0.9999999,
-        )
-        after.number = dr.select(replaces, mi.Vector4u(index), self.number)
-        after.weight = dr.select(replaces, mi.Vector4f(weight), self.weight)
-        return after
-
-    def at(self, which: UInt32) -> tuple[UInt32, Float]:
-        """(number of the light drawn as the `which`-th, its probability)."""
-
-        number, weight = self.number[3], self.weight[3]
-        for place in (2, 1, 0):
-            number = dr.select(which == place, self.number[place], number)
-            weight = dr.select(which == place, self.weight[place], weight)
-        return number, weight / dr.maximum(self.total, 1e-30)
 
 
 def _kind(row: np.void) -> tuple[Any, ...]:

@@ -19,9 +19,8 @@ import numpy as np
 
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.importance import PICKS, Picks
 from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
-from synfog_usd.render.sampling.reservoir import Candidate, Reservoir
+from synfog_usd.render.sampling.reservoir import PICKS, Candidate, Picks, Reservoir
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
 
 MOST = 12
 """Lights that are all asked."""
-
-DRAWN = PICKS
-"""Of more lamps, this many are drawn for each stretch and point; each costs as much as half a ray."""
 
 
 class LightSampler:
@@ -79,7 +75,7 @@ class LightSampler:
         g = min(max(abs(mean_cosine), 0.2), 0.99)
         self.width = dr.opaque(mi.Float, (1.0 - g) / np.sqrt(g))  # of Henyey and Greenstein's peak [rad]
         self.many = self.count > MOST
-        self.asked = dr.opaque(mi.UInt32, DRAWN if self.many else self.count)
+        self.asked = dr.opaque(mi.UInt32, PICKS if self.many else self.count)
         dr.make_opaque(self.begin)
 
     def _number_of(self, table: np.ndarray, numbers: dict[tuple[Any, ...], int]) -> int:

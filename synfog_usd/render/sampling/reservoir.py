@@ -1,8 +1,8 @@
-"""One of several weighted candidates, kept as they come (resampled importance sampling).
+"""Weighted candidates, of which one or a few are kept as they come (weighted reservoirs, Chao 1982).
 
-Each candidate has a target, what it would matter, and the density that it was drawn with; one is kept
-in proportion to target / density.  Source: Talbot, Cline and Egbert (2005), section 3; weighted
-reservoir: Chao (1982).
+`Reservoir` does resampled importance sampling (Talbot, Cline and Egbert 2005, section 3): each candidate has a target,
+what it would matter, and the density that it was drawn with; one is kept in proportion to target / density.
+`Picks` keeps the numbers of several lights, each drawn in proportion to its weight.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ import drjit as dr
 from synfog_usd.render import backend
 
 if TYPE_CHECKING:
-    from drjit.auto.ad import Bool, Float
+    from drjit.auto.ad import Bool, Float, UInt32
     from mitsuba import Color3f, Point3f
 
     from synfog_usd.render.sampling.sobol import Sobol
+
+PICKS = 4
+"""Of many lights, this many are drawn for each stretch and point; each costs as much as half a ray."""
 
 
 @dataclass
@@ -80,3 +83,46 @@ class Reservoir:
     def estimate(self) -> Color3f:
         """Unbiased estimate of the sum of all candidates' values: value x sum of the weights / target."""
         return dr.select(self.target > 0.0, self.value * (self.sum / self.target), 0.0)
+
+
+class Picks:
+    """The lights that are drawn so far, for each lane.
+
+    Attributes:
+        number: of each.
+        weight: of each.
+        total: of all weights so far.
+        u: random numbers, used again and again as what is left of them.
+    """
+
+    DRJIT_STRUCT: ClassVar[dict[str, type]] = {}
+
+    def __init__(self) -> None:
+        mi = backend.mitsuba()
+        type(self).DRJIT_STRUCT = {"u": mi.Vector4f, "weight": mi.Vector4f, "number": mi.Vector4u, "total": mi.Float}
+        self.u, self.weight, self.number, self.total = mi.Vector4f(0.0), mi.Vector4f(0.0), mi.Vector4u(0), mi.Float(0.0)
+
+    def update(self, index: UInt32, weight: Float) -> Picks:
+        """After one more light."""
+        mi = backend.mitsuba()
+        after = Picks()
+        after.total = self.total + weight
+        share = weight / dr.maximum(after.total, 1e-30)
+        replaces = self.u < share
+        after.u = dr.clip(
+            dr.select(replaces, self.u / dr.maximum(share, 1e-30), (self.u - share) / dr.maximum(1.0 - share, 1e-30)),
+            0.0,
+            0.9999999,
+        )
+        after.number = dr.select(replaces, mi.Vector4u(index), self.number)
+        after.weight = dr.select(replaces, mi.Vector4f(weight), self.weight)
+        return after
+
+    def at(self, which: UInt32) -> tuple[UInt32, Float]:
+        """(number of the light drawn as the `which`-th, its probability)."""
+
+        number, weight = self.number[3], self.weight[3]
+        for place in (2, 1, 0):
+            number = dr.select(which == place, self.number[place], number)
+            weight = dr.select(which == place, self.weight[place], weight)
+        return number, weight / dr.maximum(self.total, 1e-30)
