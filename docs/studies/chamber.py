@@ -44,7 +44,7 @@ from synfog_usd.render.film.accumulator import (
     Accumulator,
     new_accumulator,
 )
-from synfog_usd.render.film.allocation import allocation
+from synfog_usd.render.film.allocation import more_samples
 from synfog_usd.render.film.launches import add_samples
 from synfog_usd.render.sampling.sobol import RUN
 from synfog_usd.render.shot import load, render
@@ -558,9 +558,9 @@ def sample_patches(
             return accumulated
         for more, wheres in short.items():
             where = np.sort(np.concatenate(wheres))
-            share = allocation(accumulated, round(accumulated.samples_of(where)) + more, pixels=where)
+            more_of = more_samples(accumulated, round(accumulated.samples_of(where)) + more, pixels=where)
             add_samples(
-                accumulated, integrator, where, {name: _runs(count) for name, count in share.items()}, seed=seed
+                accumulated, integrator, where, {name: _runs(count) for name, count in more_of.items()}, seed=seed
             )
 
 

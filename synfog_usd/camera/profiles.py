@@ -454,7 +454,7 @@ class _Reader:
         item = self.fields[key]
         if not isinstance(item.value, dict) or set(item.value) - {"value", "source"} or "value" not in item.value:
             raise ParameterError(f"{item.place}: {key} is {item.plain()!r}; it takes {{value: ..., source: ...}}")
-        value = _in_limits(key, item.value["value"], self.limits[key])
+        value = _number(key, item.value["value"], self.limits[key])
         self.sources[key] = self.source(key, item.value, item)
         return value
 
@@ -489,7 +489,7 @@ class _Reader:
                 f"{item.place}: {key} has lists of {' and '.join(map(str, sorted(lengths)))} numbers; it takes {sizes}"
             )
         result = [
-            tuple(_in_limits(f"{key} {name}", number, limits) for number in fields[name].value)
+            tuple(_number(f"{key} {name}", number, limits) for number in fields[name].value)
             for name, limits in columns.items()
         ]
         self.sources[key] = self.source(key, fields, item)
@@ -532,7 +532,7 @@ class _Reader:
                 f"{item.place}: {kind} has curves for R, G and B; pattern {pattern} has {', '.join(letters)}; give a "
                 f"csv or a product"
             )
-        peak = _in_limits("peak", fields["peak"], Limits(0.01, 1.0))
+        peak = _number("peak", fields["peak"], Limits(0.01, 1.0))
         return QuantumEfficiency(**{kind: chosen.value}, peak=peak)
 
     def product(self, item: Located, letters: tuple[str, ...]) -> tuple[tuple[Curve, ...], tuple[Curve, ...]]:
@@ -574,7 +574,7 @@ class _Reader:
         return Curve(
             kind,
             tuple(
-                _in_limits(f"{kind} of {where}", number, limits)
+                _number(f"{kind} of {where}", number, limits)
                 for number, limits in zip(entries, SHAPES[kind], strict=True)
             ),
         )
@@ -627,7 +627,8 @@ class _Reader:
         return tuple(rows)
 
 
-def _in_limits(key: str, item: Located, limits: Limits) -> float:
+def _number(key: str, item: Located, limits: Limits) -> float:
+    """The number that a file gives for `key`, or a ParameterError where it is none within the limits."""
     value = item.value
     allowed = f"a {'whole ' if limits.whole else ''}number from {limits.low:g} to {limits.high:g}"
     if (

@@ -139,7 +139,7 @@ def verify(out: Path, *, quiet: bool, as_json: bool) -> None:
 
 
 def unit(out: Path, number: int, lighting: str, camera: str, *, repair: bool, variant: str) -> None:
-    """Make one unit; in a worker's child, the child itself."""
+    """Make one unit, in a child process with limits; the child runs the same command, and comes here too."""
     if not worker.is_worker():
         code = worker.run(sys.argv[1:])
         raise typer.Exit(2 if code < 0 else code)

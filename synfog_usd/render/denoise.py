@@ -206,19 +206,21 @@ def denoise_draft(
     *,
     progress: Progress = silent,
 ) -> Denoised:
-    """Clean a picture for a look alone: surfaces once and airlight once, by Open Image Denoise's smaller networks.
+    """Clean a draft: surfaces once and airlight once, by Open Image Denoise's smaller networks.
 
-    It takes the arguments of `denoise_halves` and a third of its time, errs up to a sixth more, and estimates no error.
+    It takes the arguments of `denoise_halves` and a third of its time.  Its error is up to a sixth larger, and is not
+    estimated.
 
     Returns:
-        with `SURFACE`, those of `NOISELESS`, and `AIRLIGHT` for all that fog scatters.
+        components `SURFACE`, those of `NOISELESS`, and `AIRLIGHT` for all that fog scatters.
 
     Raises:
         DenoiserError: Open Image Denoise fails.
     """
     means = dict[str, FloatArray]()
     for name, make in halves.items():
-        part = SURFACE if name == LIT else name if name == SURFACE or name in NOISELESS else AIRLIGHT
+        of_surfaces = name in (SURFACE, LIT)
+        part = SURFACE if of_surfaces else name if name in NOISELESS else AIRLIGHT
         means[part] = means.get(part, np.float32(0.0)) + make()[0].mean(axis=0)
     components, coarse = dict[str, FloatArray](), _binned(guides)
     for index, (name, mean) in enumerate(means.items()):

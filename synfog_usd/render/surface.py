@@ -337,7 +337,7 @@ class _Inputs:
 
 @functools.lru_cache(maxsize=64)
 def _albedo_table(variant: str, eta: float) -> Float:
-    """`albedo_of` an index in the memory of a variant."""
+    """`albedo_of` a refractive index as an array of Mitsuba's `variant`, which is the current one."""
     albedo = backend.floats(albedo_of(eta).ravel())
     dr.make_opaque(albedo)
     return albedo

@@ -223,6 +223,7 @@ def _layer(text: str, file: str, fence: Fence, left_out: list[str]) -> str:
 
 
 def _failures(mx: ModuleType) -> tuple[type[BaseException], ...]:
+    """What a damaged file makes MaterialX, USD or our own reading of it raise."""
     return (mx.Exception, OSError, RuntimeError, LookupError, TypeError, ValueError, Tf.ErrorException)
 
 

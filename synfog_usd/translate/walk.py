@@ -334,7 +334,7 @@ class _Walker:
         if lost:
             self.notes.warn(at, f"xformOpOrder names {lost[0][:60]!r}, which is not there; the prim stands without it")
         for name in (op.removeprefix("!invert!") for op in order if "orient" in op):
-            if not is_finite(_turn(prim.GetAttribute(name).Get(self.time))):
+            if not is_finite(_quaternion(prim.GetAttribute(name).Get(self.time))):
                 self.notes.warn(at, f"{name} holds numbers that are not finite; the prim stands unturned")
 
     def matrix(self, prim: Usd.Prim, frame: Usd.Prim | None) -> Array:
@@ -564,7 +564,7 @@ def _included(stage: Usd.Stage, notes: Diagnostics) -> frozenset[str]:
     return purposes
 
 
-def _turn(value: object) -> list[float] | None:
+def _quaternion(value: object) -> list[float] | None:
     """The four numbers of a quaternion; None for anything else."""
     return [value.real, *value.imaginary] if isinstance(value, (Gf.Quatd, Gf.Quatf, Gf.Quath)) else None
 

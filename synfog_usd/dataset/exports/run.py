@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.progress import Progress, silent
@@ -100,11 +99,8 @@ def export(
         webdataset.write(counted, folder, chosen, url) if url is not None else exporter.write(counted, folder, chosen)
     )
 
-    def rows() -> Iterator[dict[str, Any]]:
-        for picture in pictures(out):
-            yield {**picture.metadata(), "things": census.count(picture, chosen)}
-
-    folder.table("pictures.csv", rows())
+    rows = ({**picture.metadata(), "things": census.count(picture, chosen)} for picture in pictures(out))
+    folder.table("pictures.csv", rows)
     first = next(iter(pictures(out)))
     columns = [*first.metadata(), "things"]
     name = f"{out.resolve().name}-{exporter.name}"

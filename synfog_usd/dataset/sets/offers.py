@@ -72,7 +72,7 @@ def with_offers(
         there |= dict.fromkeys(RECIPE_LIGHTINGS if kind == "lighting" and recipes else ())
         for distribution in definition.lightings if kind == "lighting" else definition.fogs:
             for name in distribution.values if distribution.kind in ("fixed", "choice") else ():
-                usual = name in RECIPE_LIGHTINGS if kind == "lighting" else not isinstance(name, str) or _free(name)
+                usual = name in RECIPE_LIGHTINGS if kind == "lighting" else _needs_no_variant(name)
                 if usual or name in there:
                     continue
                 if kind == "fog" and (fault := fog_fault(name)):
@@ -101,9 +101,9 @@ def chosen(definition: SetDefinition, stage: Path, kind: str, names: Sequence[st
     there = (definition.offers[stage] if stage in definition.offers else of_stage(stage)).get(kind, ())
     if not names:
         return tuple(offered_names(there))
-    result = [name if there or (kind == "fog" and _free(name)) else AS_AUTHORED for name in names]
+    result = [name if there or (kind == "fog" and _needs_no_variant(name)) else AS_AUTHORED for name in names]
     for name in result:
-        if name not in (*there, AS_AUTHORED) and not (kind == "fog" and _free(name)):
+        if name not in (*there, AS_AUTHORED) and not (kind == "fog" and _needs_no_variant(name)):
             raise SetError(
                 f"{stage}: has the {KINDS[kind]} {', '.join(there)}, and the set {definition.name!r} asks for "
                 f"{name!r}; name some of them under {KINDS[kind]}, or {AS_AUTHORED} for the stage as it is."
@@ -112,6 +112,6 @@ def chosen(definition: SetDefinition, stage: Path, kind: str, names: Sequence[st
     return tuple(dict.fromkeys(result))
 
 
-def _free(fog: str) -> bool:
-    """Whether every stage takes a fog, with or without variants."""
-    return visibility_of(fog) is not None
+def _needs_no_variant(fog: str | float) -> bool:
+    """Whether any stage can be put into a fog: into one of a visibility or weather, as into clear air."""
+    return not isinstance(fog, str) or visibility_of(fog) is not None

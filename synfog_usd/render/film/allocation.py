@@ -37,7 +37,7 @@ def accumulate_by_estimator(
     accumulated, everywhere = new_accumulator(integrator, pixels, denoised=denoised), np.arange(pixels)
     before = 0.0
     for number in rounds(samples, denoised=denoised):
-        more = allocation(accumulated, number, denoised=denoised)
+        more = more_samples(accumulated, number, denoised=denoised)
         add_samples(accumulated, integrator, everywhere, more, seed, within(progress, before, number / samples))
         before = number / samples
     return accumulated
@@ -51,45 +51,52 @@ def rounds(samples: int, *, denoised: bool = False) -> tuple[int, ...]:
     return (first, samples) if samples >= (2 * HALVES if denoised else 3 * CHUNK) else (samples,)
 
 
-def allocation(
+def more_samples(
     accumulated: Accumulator, samples: float, *, denoised: bool = False, pixels: Indices | None = None
 ) -> dict[str, int]:
-    """How many more samples each estimator should get, at the cost of `samples` of each in all.
+    """How many more samples each estimator gets: n ~ sqrt(variance / cost), by which a second spent on any of them
+    lowers the picture's variance as much (Neyman's allocation).
 
-    n ~ sqrt(variance / cost) evens out variance per second (Neyman's allocation).  Pixels count by their relative
-    variance, the noisiest hundredth left out, so that no single firefly decides; what will be denoised counts by its
-    variance at low frequencies.  The first samples are spread evenly,
-    and later ones come in whole pairs or runs of CHUNK.
+    The variance is that of a pixel relative to its light; of a picture that will be denoised, that at low frequencies.
 
     Args:
+        accumulated: the samples so far.
+        samples: the budget, those so far included: what so many samples of every estimator cost.
+        denoised: whether the picture will be.
         pixels: (N,) those that count; all of them where None.
+
+    Returns:
+        estimator -> samples: the same for all until there is a variance, then whole pairs or runs of CHUNK.
     """
-    have = {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
-    if pixels is not None:
-        have = {name: int(np.median(e.counts.sum(axis=0)[pixels])) for name, e in accumulated.estimators.items()}
+    have = _samples_so_far(accumulated, pixels)
     if len(have) == 1 or min(have.values()) < HALVES:
         return {name: max(round(samples) - count, 0) for name, count in have.items()}
     cost = accumulated.costs()
-    weight = {
-        name: max(math.sqrt(value / cost[name]), 1e-6)
-        for name, value in (
-            _coarse_variances(accumulated) if denoised else _relative_variances(accumulated, pixels)
-        ).items()
-    }
+    variances = _coarse_variances(accumulated) if denoised else _relative_variances(accumulated, pixels)
+    weight = {name: max(math.sqrt(variance / cost[name]), 1e-6) for name, variance in variances.items()}
     budget = samples * sum(cost.values())
-    spent = sum(cost[name] * count for name, count in have.items())
-    share = _filled(weight, cost, have, budget)
+    goal = _shared_out(budget, weight, cost, have)
+    missing = {name: count - have[name] for name, count in goal.items()}
     step = HALVES if denoised and samples < 3 * CHUNK else CHUNK
-    more = {name: max(round((share[name] - count) / step) * step, 0) for name, count in have.items()}
+    more = {name: max(round(missing[name] / step) * step, 0) for name in have}
+    spent = sum(cost[name] * count for name, count in have.items())
     if budget > spent and not any(more.values()):
-        more[max(share, key=lambda name: share[name] - have[name])] = step
+        more[max(missing, key=missing.__getitem__)] = step
     return more
 
 
-def _filled(
-    weight: Mapping[str, float], cost: Mapping[str, float], have: Mapping[str, int], budget: float
+def _samples_so_far(accumulated: Accumulator, pixels: Indices | None) -> dict[str, int]:
+    """Samples of each estimator in the picture's first pixel, or their median over `pixels`."""
+    if pixels is None:
+        return {name: int(estimator.counts[:, 0].sum()) for name, estimator in accumulated.estimators.items()}
+    counts = {name: estimator.counts.sum(axis=0) for name, estimator in accumulated.estimators.items()}
+    return {name: int(np.median(of_pixels[pixels])) for name, of_pixels in counts.items()}
+
+
+def _shared_out(
+    budget: float, weight: Mapping[str, float], cost: Mapping[str, float], have: Mapping[str, int]
 ) -> dict[str, float]:
-    """Samples in proportion to `weight`, none fewer than there are, that cost `budget` in all."""
+    """Samples in proportion to `weight` that cost `budget` in all; no estimator gets fewer than it has."""
     fixed: set[str] = set()
     while True:
         rest = budget - sum(cost[name] * have[name] for name in fixed)

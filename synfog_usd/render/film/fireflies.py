@@ -44,12 +44,12 @@ ROUNDS = 4
 
 
 def limit(level: float, count: int, paths: int) -> float:
-    """Light that a lane may bring.
+    """Most light that a lane's paths may bring together; what is beyond is a firefly's.
 
     Args:
         level: mean light of a path.
         count: paths of the lane.
-        paths: of a pixel before it.
+        paths: those that the pixel has had before.
     """
     return level * (count + TIMES * math.sqrt(max(1.0, paths / GROWS_FROM)))
 

@@ -21,7 +21,7 @@ from synfog_usd.render.film.accumulator import (
     Traces,
     new_accumulator,
 )
-from synfog_usd.render.film.allocation import accumulate_by_estimator, allocation, rounds
+from synfog_usd.render.film.allocation import accumulate_by_estimator, more_samples, rounds
 from synfog_usd.render.film.launches import add_samples
 
 DENOISER_GAIN = 20.0
@@ -126,7 +126,7 @@ def accumulate_to_target(
     pixels = camera.width_px * camera.height_px
     accumulated, everywhere = new_accumulator(integrator, pixels), np.arange(pixels)
     spent: float = min(2 * CHUNK, max(2, target.samples))
-    first = allocation(accumulated, int(spent))
+    first = more_samples(accumulated, int(spent))
     add_samples(accumulated, integrator, everywhere, first, seed, within(progress, 0.0, spent / target.samples))
     while spent < target.samples and spent >= 2 * CHUNK:
         need = _needed(
@@ -140,7 +140,7 @@ def accumulate_to_target(
         count = int(min(have, (target.samples - spent) * pixels / len(rows)))  # a round doubles what a pixel has
         if count < CHUNK:
             break
-        more = allocation(accumulated, int(have) + count, pixels=rows)
+        more = more_samples(accumulated, int(have) + count, pixels=rows)
         after = spent + count * len(rows) / pixels
         add_samples(
             accumulated, integrator, rows, more, seed, within(progress, spent / target.samples, after / target.samples)
@@ -186,7 +186,7 @@ def accumulate_denoised(
         for more in again:
             add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
         for number in () if again else rounds(int(after), denoised=True) if spent == 0 else (after,):
-            more = allocation(accumulated, number, denoised=True)
+            more = more_samples(accumulated, number, denoised=True)
             add_samples(accumulated, integrator, everywhere, more, seed, within(progress, share, reach))
         spent, share, again = accumulated.samples_per_pixel if again else after, reach, []
         if target.open or spent * least >= target.samples:

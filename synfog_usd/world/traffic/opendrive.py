@@ -5,6 +5,7 @@ Takes the record of a road or junction; writes a file.  Knows nothing of USD.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -191,14 +192,10 @@ def _of_crossing(site: Crossing) -> Network:
         )
     arms = network.roads[:4]
     ways = []
-    for arm in arms:
-        for goal in arms:
-            if goal is not arm:
-                near, far = _mouth(arm, 1), _mouth(goal, -1)
-                widths = arm.strips[0].widths[0][1], goal.strips[0].widths[0][1]
-                ways.append(
-                    _through(network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), bend(near, far), widths)
-                )
+    for arm, goal in itertools.permutations(arms, 2):
+        near, far = _mouth(arm, 1), _mouth(goal, -1)
+        widths = arm.strips[0].widths[0][1], goal.strips[0].widths[0][1]
+        ways.append(_through(network, 1, (arm.number, 1, "start"), (goal.number, -1, "start"), bend(near, far), widths))
     network.junctions.append(Junction(1, "crossing", ways))
     return network
 
