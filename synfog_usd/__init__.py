@@ -1,7 +1,7 @@
 """What a real camera would have recorded of a USD scene in fog.
 
     import synfog_usd as sf
-    photo = sf.develop(sf.render(sf.load("street.usda", fog=150), quality="draft", seed=1), camera="phone")
+    photo = sf.develop(sf.render(sf.load("street.usda", fog=150), seed=1, quality="draft"), camera="phone")
 
 Nothing is imported before a name is used.
 """
