@@ -57,15 +57,15 @@ def wall_in_fog(visibility_m: float, *, size: tuple[int, int] = (480, 320)) -> I
 
 
 def frames_in_fog(visibility_m: float, *, count: int, quiet: bool = False) -> Array:
-    """(N, H, W, 3) pictures of the wall, 8 bits as 0 to 1, by the phone; exposed for clear air, each with its own
-    temporal noise.
+    """(N, H, W, 3) pictures of the wall, 8 bits as 0 to 1, by the phone without its denoising; exposed for clear air,
+    each with its own temporal noise.
 
     Args:
         visibility_m: see `wall_in_fog`.
         count: N.
         quiet: the phone without temporal noise.
     """
-    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml")
+    graph = camera.load_graph(resources.folder("pipeline") / "phone.yaml").without(["denoise"])
     settings = camera.meter(wall_in_fog(math.inf), graph).settings
     if quiet:
         graph = graph.without(["shot_noise", "read_noise", "adc_noise", "black_clamp"])

@@ -62,7 +62,7 @@ def measured(name: str, algorithm: str) -> tuple[float, ...]:
     their mean, at the dark side; frequency at which half the contrast is left [cycles/pixel].
     """
     graph = camera.load_graph(resources.folder("pipeline") / f"{name}.yaml")
-    graph = graph.without([node.name for node in graph.nodes_with("optics.distortion")])
+    graph = graph.without([node.name for op in ("optics.distortion", "isp.denoise") for node in graph.nodes_with(op)])
     graph = graph.with_overrides({"demosaic.algorithm": algorithm})
 
     def run(angle_deg: float) -> tuple[np.ndarray, np.ndarray]:

@@ -115,7 +115,7 @@ def test_the_papers_camera_averages_to_the_noise_free_one():
             "'read_noise' gives electrons (mosaic, with read noise)",
         ),
         (
-            [{"op": "isp.denoise", "after": "white_balance"}],
+            [{"op": "isp.denoise", "name": "late", "after": "white_balance"}],
             "'white_balance' gives linear_rgb (mosaic, white-balanced)",
         ),
         ([{"name": "adc", "bits": 8}], "white_level_dn 1023 <= 255, the most of 8 bits, does not hold"),

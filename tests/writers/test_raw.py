@@ -28,7 +28,7 @@ def shot():
         {"radiance": radiance},
         seed=1,
         settings=camera.meter(radiance, graph).settings,
-        overrides={"lens_shading.strength": 0},
+        overrides={"lens_shading.strength": 0, "denoise.strength": 0},
     )
 
 
