@@ -107,6 +107,7 @@ def test_its_metadata_says_what_pyproject_says(content):
     )
     assert set(metadata["Requires-Python"].split(",")) == {">=3.10", "<3.14"}
     assert "Apache License" in by_name["LICENSE"]
+    assert "](docs/" not in metadata.get_payload(), "a link of README that leads nowhere from a package index"
 
 
 def test_the_same_checkout_gives_the_same_wheel(wheel, tmp_path):
