@@ -110,11 +110,11 @@ def false_colour(image: Image) -> Image:
         inner = slice(top - first, top - first + STRIP_PX)
         green = rows[..., 1]
         pixels[top : top + STRIP_PX, :, 1] = green[inner]
-        known = _known_colour(green) if (green >= SATURATED).any() else None
+        reliable = _reliable_colour(green) if (green >= SATURATED).any() else None
         for channel in (0, 2):
             difference = rows[..., channel] - green
-            if known is not None:
-                difference[~known] = _mean_of(difference, known)[~known]
+            if reliable is not None:
+                difference[~reliable] = _mean_of(difference, reliable)[~reliable]
             for reach in REACH_PX:
                 _median_of_three(difference, reach)
                 if (width := image.width_px) > 2 * reach:
@@ -176,7 +176,7 @@ def starlet_noise(levels: int) -> list[float]:
     return sigmas
 
 
-def _known_colour(green: FloatArray) -> Flags:
+def _reliable_colour(green: FloatArray) -> Flags:
     """Where the pixel and those beside it are all saturated in green, or none is."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -185,12 +185,12 @@ def _known_colour(green: FloatArray) -> Flags:
     return np.asarray(all_of_them | ~some)
 
 
-def _mean_of(plane: FloatArray, known: Flags) -> FloatArray:
-    """Mean of the known pixels in the square around each; 0 where there are none."""
+def _mean_of(plane: FloatArray, reliable: Flags) -> FloatArray:
+    """Mean of the reliable pixels in the square around each; 0 where there are none."""
     from scipy.ndimage import uniform_filter
 
-    share = uniform_filter(known.astype(np.float32), AROUND_PX, mode="mirror")
-    total = uniform_filter(np.where(known, plane, np.float32(0.0)), AROUND_PX, mode="mirror")
+    share = uniform_filter(reliable.astype(np.float32), AROUND_PX, mode="mirror")
+    total = uniform_filter(np.where(reliable, plane, np.float32(0.0)), AROUND_PX, mode="mirror")
     return np.where(share > 0.5 / AROUND_PX**2, total / np.maximum(share, np.float32(1e-6)), np.float32(0.0))
 
 

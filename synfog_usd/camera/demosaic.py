@@ -124,8 +124,8 @@ def _bound_by_neighbours(picture: FloatArray, mosaic: FloatArray, pattern: str) 
     saturated = mosaic >= SATURATED
     if not saturated.any():
         return
-    beside = maximum_filter(saturated, SPOILT_PX, mode="mirror") & ~minimum_filter(saturated, SPOILT_PX, mode="mirror")
-    rows, columns = np.nonzero(beside)
+    rims = maximum_filter(saturated, SPOILT_PX, mode="mirror") & ~minimum_filter(saturated, SPOILT_PX, mode="mirror")
+    rows, columns = np.nonzero(rims)
     filters = cfa.factors(pattern, range(3), 2, 2).astype(int)
     around, place = np.pad(mosaic, 1, mode="reflect"), np.arange(rows.size)
     lowest = np.full((3, rows.size), np.inf, np.float32)

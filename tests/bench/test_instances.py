@@ -1,7 +1,6 @@
-"""What instances cost: seconds of the processor and memory."""
+"""What instances cost: memory."""
 
 import json
-import resource
 import subprocess
 import sys
 
@@ -19,14 +18,12 @@ from synfog_usd.stage import open_stage
 from synfog_usd.translate import translate
 begin = time.process_time()
 try:
-    scene = translate(open_stage(sys.argv[1]), resolution=tuple(map(int, sys.argv[2:4])))
-    translated = time.process_time() - begin
-    to_mitsuba(scene)
+    to_mitsuba(translate(open_stage(sys.argv[1]), resolution=tuple(map(int, sys.argv[2:4]))))
     said = "drawn"
 except StageError as error:
-    translated, said = time.process_time() - begin, str(error)
-memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps([said, translated, time.process_time() - begin, memory]))
+    said = str(error)
+memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps([said, time.process_time() - begin, memory_mb]))
 """
 
 
@@ -59,27 +56,11 @@ def crowd(path, instances, triangles):
     stage.Save()
 
 
-def loaded_in_a_child(path, resolution):
-    """('drawn' or why not, s of the processor translated, s until it stands in the renderer, most memory in MB)."""
-    words = [sys.executable, "-c", CHILD, str(path), *map(str, resolution)]
-    return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
-
-
 def test_200_million_triangles_stand_in_the_renderer_within_4_GB(tmp_path):
     """10 000 instances of 20 000 triangles, in a picture of 1280x720."""
     crowd(tmp_path / "a.usdc", 10_000, 20_000)
-    said, _, seconds, memory = loaded_in_a_child(tmp_path / "a.usdc", (1280, 720))
-    print(f"200 million triangles at 1280x720: {seconds:.1f} s, {memory:.0f} MB")
-    assert said == "drawn" and memory < 4000.0
-
-
-def test_10_000_instances_of_35_000_triangles_are_baked_within_a_minute(tmp_path):
-    """Of the processor, at 160x90 and 4 samples."""
-    crowd(tmp_path / "a.usdc", 10_000, 35_000)
-    words = [sys.executable, "-m", "synfog_usd.cli.main", "bake", str(tmp_path / "a.usdc"), "-o", str(tmp_path / "out")]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([*words, "--resolution", "160x90", "--samples", "4"], check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    print(f"10 000 x 35 000 triangles baked: {seconds:.1f} s")
-    assert seconds < 60.0
+    words = [sys.executable, "-c", CHILD, str(tmp_path / "a.usdc"), "1280", "720"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    said, seconds, memory_mb = json.loads(done.stdout.splitlines()[-1])
+    print(f"200 million triangles at 1280x720: {seconds:.1f} s, {memory_mb:.0f} MB")
+    assert said == "drawn" and memory_mb < 4000.0

@@ -111,13 +111,11 @@ def test_a_far_white_lamp_is_white_whichever_filter_it_falls_on(at, brightness):
     assert np.abs(lamp(np.full(3, brightness), 1, at)).max() < 0.04
 
 
-@pytest.mark.parametrize("colour, sign", [((1.0, 0.06, 0.02), 1.0), ((0.02, 1.0, 0.5), -1.0)])
+@pytest.mark.parametrize("colour, sign", [((10.0, 0.6, 0.2), 1.0), ((0.2, 10.0, 5.0), -1.0)])
 def test_a_lamp_of_several_pixels_keeps_its_colour(colour, sign):
     """Ten times what saturates its own filter: red is red, and green is green, in the middle and nowhere else."""
-    red = lamp(10.0 * np.array(colour), 5, (8, 8))[..., 0] * sign
-    assert red.max() > 0.3
-    assert np.argwhere(red > 0.3).min() >= 6
-    assert np.argwhere(red > 0.3).max() <= 14
+    tinted = np.argwhere(lamp(colour, 5, (8, 8))[..., 0] * sign > 0.3)
+    assert len(tinted) and tinted.min() >= 6 and tinted.max() <= 14
 
 
 # ---- sharpen
