@@ -42,14 +42,15 @@ MOST_TOLD = 20_000
 
 
 def shown_of(instances: tuple[Instance, ...], *met: npt.ArrayLike) -> tuple[Instance, ...]:
-    """Those that files tell of: all, or those that the picture's rays meet where there are more than `MOST_TOLD`.
+    """Those that files tell of: all in this frame, or those that the picture's rays meet where there are more than
+    `MOST_TOLD`.
 
     Args:
         instances: of the scene.
         met: label ids that the rays meet.
     """
     if len(instances) <= MOST_TOLD:
-        return instances
+        return tuple(instance for instance in instances if instance.shown)
     some = set(distinct(np.concatenate([np.ravel(ids) for ids in met])).tolist())
     return tuple(instance for instance in instances if instance.id in some)
 

@@ -142,6 +142,7 @@ class Instance:
         label: Cityscapes name, or 'unlabeled'.
         frame: (4, 4) float64 from the prim's own axes to the scene's; may scale and mirror.
         velocity_m_s: (3,) of the prim's origin in the scene's axes [m/s], or None where the stage tells none.
+        shown: whether it has a shape in this frame; what is invisible for a time keeps its id.
     """
 
     id: int
@@ -149,6 +150,7 @@ class Instance:
     label: str
     frame: Array = field(default_factory=lambda: np.eye(4), compare=False, repr=False)
     velocity_m_s: tuple[float, float, float] | None = None
+    shown: bool = True
 
 
 @dataclass(frozen=True)

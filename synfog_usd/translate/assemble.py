@@ -156,11 +156,12 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
     if view.light_scale != 1.0:
         notes.info("", f"all lights are multiplied by {view.light_scale:.6g}")
         world = daylight.brightened(world, view.light_scale)
+    present = set(scene.instance_of.values())
     complete = SceneDict(
         world=world,
         camera=eye,
         fog=around,
-        instances=tuple(scene.instances),
+        instances=tuple(one if one.id in present else replace(one, shown=False) for one in scene.instances),
         instance_of=scene.instance_of,
         parts=tuple(scene.moving_parts.values()),
         part_of=scene.part_of,
@@ -358,11 +359,12 @@ class _Assembler:
         self.bindings.sheer = content.sheer
         if content.clipped:
             self.drawer.meshes = None
-        self.bindings.look_up([*content.leaves, *[leaf for group in content.groups for leaf in group.leaves]])
+        seen = [leaf for leaf in content.leaves if not leaf.unseen]
+        self.bindings.look_up([*seen, *[leaf for group in content.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
         for start in range(0, len(content.leaves), _AHEAD):
             some = content.leaves[start : start + _AHEAD]
-            self.drawer.look_ahead(some)
+            self.drawer.look_ahead(leaf for leaf in some if not leaf.unseen)
             for leaf in some:
                 self.put(leaf, None, to_scene)
         placements: dict[int, list[GroupInstance]] = {}
@@ -406,8 +408,11 @@ class _Assembler:
 
     def put(self, leaf: Leaf, placement: GroupInstance | None, around: Array) -> None:
         """A leaf in the scene itself; `around` is (4, 4) to the scene of the instance that it is part of, or of the
-        stage.
+        stage.  One that is invisible in this frame has an id alone, so that others keep theirs.
         """
+        if leaf.unseen:
+            self.instance(leaf, placement, around)
+            return
         kind, matrix = leaf.kind, around @ leaf.matrix
         if kind in _DOMES:
             dome = light.dome(

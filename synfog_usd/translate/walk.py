@@ -90,6 +90,7 @@ class Leaf:
         fog: prim whose fog attributes hold for this one, or None.
         material: path of the material bound above the instance that the leaf is in, or None.
         stronger: whether that material comes before the leaf's own.
+        unseen: whether it is invisible now, and not in all frames.
     """
 
     prim: Usd.Prim
@@ -103,6 +104,7 @@ class Leaf:
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
+    unseen: bool = False
 
 
 @dataclass(slots=True)
@@ -177,13 +179,15 @@ class _State:
     fog: Usd.Prim | None = None
     material: str | None = None
     stronger: bool = False
+    unseen: bool = False
 
 
 def walk(stage: Usd.Stage, time: Usd.TimeCode, notes: Diagnostics) -> Walk:
     """Everything that can be seen, shines or is fog, once.
 
     Invisible and inactive prims are left out, and prims of a purpose that the render settings do not include; by
-    default these are guide and proxy.  The purpose of a fog boundary does not count.
+    default these are guide and proxy.  The purpose of a fog boundary does not count.  What is drawn in other frames
+    alone is listed as unseen, but for instances.
 
     Raises:
         StageError: nested deeper than `MAX_DEPTH` or more than `MAX_LEAVES` prims.
@@ -229,7 +233,7 @@ class _Walker:
                 iterator.PruneChildren()
                 continue
             state = self.entered(prim, path, kind, depth, stack[-1], is_frame=frame is not None and prim == frame)
-            if state is None:
+            if state is None or (state.unseen and (group is not None or prim.IsInstance() or kind == "PointInstancer")):
                 iterator.PruneChildren()
                 continue
             stack.append(state)
@@ -239,6 +243,8 @@ class _Walker:
             elif kind == "PointInstancer":
                 self.point_instancer(prim, state, group, frame)
                 iterator.PruneChildren()
+            elif state.unseen and kind not in DRAWN:
+                continue
             elif kind == "BasisCurves" and group is None and LANE_TYPE in state.authored:
                 self.result.lanes.append((prim, self.matrix(prim, frame)))
             elif kind not in _PASSED:
@@ -268,7 +274,9 @@ class _Walker:
         if read and "visibility" in authored:
             visibility = prim.GetAttribute("visibility").Get(self.time)
             if self.notes.token(at, "visibility", visibility, ("inherited", "invisible"), "inherited") == "invisible":
-                return None
+                if not prim.GetAttribute("visibility").ValueMightBeTimeVarying():
+                    return None
+                state.unseen = True
         if read and "purpose" in authored:
             state.purpose = self.notes.token(at, "purpose", prim.GetAttribute("purpose").Get(), _PURPOSES, "guide")
         if schemas:
@@ -368,7 +376,7 @@ class _Walker:
         if fog is None and kind not in _LIGHTS and kind not in DRAWN:
             self.unknown(prim, kind, state)
             return
-        if fog is None and not state.shown:
+        if (fog is None and not state.shown) or (fog is not None and state.unseen):
             return
         self.count += 1
         self.limit()
@@ -392,6 +400,7 @@ class _Walker:
             fog,
             state.material,
             state.stronger,
+            state.unseen,
         )
         (self.result.leaves if group is None else group.leaves).append(leaf)
 

@@ -310,9 +310,10 @@ def test_cuts_teleports_and_what_comes_and_goes_are_as_the_stage_has_them(tmp_pa
     cut, jump = json.loads((clip / "sequence.json").read_text())["warnings"]
     assert cut.startswith("/World/Rig/Left cuts at the time code 2:")
     assert jump.startswith("/World/Car jumps 19.6 m to the time code 1,")
-    shown = []
+    shown, numbers = [], dict[str, int]()
     for number in range(3):
         rows = json.loads((clip / f"{number:06d}" / "labels.json").read_text())["instances"]
+        assert all(numbers.setdefault(row["path"], row["id"]) == row["id"] for row in rows)
         shown.append({row["path"]: row["distance_m"] for row in rows if row["pixels"]})
     assert [("/World/Block" in paths, "/World/Car" in paths) for paths in shown] == [
         (True, True),
