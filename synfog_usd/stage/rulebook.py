@@ -178,7 +178,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             _rule(
                 "jumps",
                 "warning",
-                "A road user, or a thing without a label, that moves between two frames as nothing on a road can.",
+                "A road user or another thing that moves between two frames as nothing on a road can.",
                 "set the interpolation of its keyframes to linear or Bezier, and look for a key in the wrong place",
                 "look for a missing time sample",
                 "look for a key in the wrong place in the Curve Editor",

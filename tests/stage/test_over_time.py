@@ -115,11 +115,10 @@ def test_a_teleport_is_told_at_that_frame(street):
     assert first.found() == [("jumps", "/Car", "frame 1")]
 
 
-def test_a_thing_without_a_label_jumps_where_nothing_on_a_road_is_as_fast(street):
+def test_what_is_no_road_user_jumps_where_nothing_on_a_road_is_as_fast(street):
     """13 m from frame 11 to 12 are 130 m/s; 11 m are 110 m/s, of which nothing is said."""
     for name, way in (("Far", 12.0), ("Near", 10.0)):
-        box = street.car(name, lambda frame, way=way: ahead(frame, begin=way if frame >= 12 else 0.0))
-        box.GetPrim().RemoveProperty("userProperties:cityscapes")
+        street.car(name, lambda frame, way=way: ahead(frame, begin=way if frame >= 12 else 0.0), kind="pole")
     assert street.found() == [("jumps", "/Far", "frame 12")]
 
 
