@@ -161,7 +161,7 @@ def with_boundaries(stage: Usd.Stage, view: StageView, reused: Reused) -> tuple[
         world=world,
         camera=eye,
         fog=around,
-        instances=tuple(one if one.id in present else replace(one, shown=False) for one in scene.instances),
+        instances=tuple(each if each.id in present else replace(each, shown=False) for each in scene.instances),
         instance_of=scene.instance_of,
         parts=tuple(scene.moving_parts.values()),
         part_of=scene.part_of,
@@ -359,8 +359,8 @@ class _Assembler:
         self.bindings.sheer = content.sheer
         if content.clipped:
             self.drawer.meshes = None
-        seen = [leaf for leaf in content.leaves if not leaf.unseen]
-        self.bindings.look_up([*seen, *[leaf for group in content.groups for leaf in group.leaves]])
+        visible = [leaf for leaf in content.leaves if not leaf.unseen]
+        self.bindings.look_up([*visible, *[leaf for group in content.groups for leaf in group.leaves]])
         to_scene = self.space.matrix
         for start in range(0, len(content.leaves), _AHEAD):
             some = content.leaves[start : start + _AHEAD]
