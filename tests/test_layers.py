@@ -26,16 +26,16 @@ BELOW = {
 
 BELOW["dataset"] = set(BELOW)
 BELOW["dataset/sets"] = BELOW["dataset/exports"] = {*BELOW["dataset"], "dataset", "dataset/sets", "dataset/exports"}
-BELOW["lab/study"] = {*BELOW["dataset/sets"], "lab/study"}
-BELOW["cli"] = BELOW["lab/study"]
+BELOW["lab"] = {*BELOW["dataset/sets"], "lab"}
+BELOW["cli"] = BELOW["lab"]
 
 HEAVY = {
     "pxr": {"stage", "translate", "world"},
     "MaterialX": {"stage/materialx.py"},
     "mitsuba": {"render"},
     "drjit": {"render"},
-    "OpenImageIO": {"camera", "camera/writers", "lab/study", "translate/texture.py", "world"},
-    "matplotlib": {"lab/study"},
+    "OpenImageIO": {"camera", "camera/writers", "lab", "translate/texture.py", "world"},
+    "matplotlib": {"lab"},
     "pyoidn": {"render"},
     "tifffile": {"camera/writers"},
     "imagecodecs": {"camera/writers"},

@@ -25,7 +25,7 @@ from synfog_usd.base.colour import LUMINANCE
 from synfog_usd.base.image import Image, Quantity
 from synfog_usd.camera import cfa, response
 from synfog_usd.camera.profiles import LensProfile, SensorProfile, load_sensor, shipped
-from synfog_usd.lab.study import drawing
+from synfog_usd.lab import drawing
 
 # ---- noise and fog ---------------------------------------------------------------------
 

@@ -19,9 +19,9 @@ from synfog_usd.base import files, resources
 from synfog_usd.base.errors import ParameterError
 from synfog_usd.base.numbers import QUALITIES
 from synfog_usd.base.progress import duration
-from synfog_usd.lab.study import verdicts
-from synfog_usd.lab.study.chart import ChartPlan, chart
-from synfog_usd.lab.study.points import TARGETS, Point, summary
+from synfog_usd.lab import verdicts
+from synfog_usd.lab.chart import ChartPlan, chart
+from synfog_usd.lab.points import TARGETS, Point, summary
 
 SIZE_PX, LIMIT_S = (96, 54), 60.0
 """Of each chart: its picture, and its time limit [s]."""

@@ -20,7 +20,7 @@ import numpy as np
 from synfog_usd.base import files, photometry, spectra
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.colour import LUMINANCE, srgb_encode
-from synfog_usd.lab.study.drawing import INK, STYLE
+from synfog_usd.lab.drawing import INK, STYLE
 from synfog_usd.render.shot import render
 from synfog_usd.render.spectra import bands
 from synfog_usd.scene.testing import scene

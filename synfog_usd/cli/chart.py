@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 from synfog_usd.cli.progress import shown
 
 if TYPE_CHECKING:
-    from synfog_usd.lab.study.chart import Chart
+    from synfog_usd.lab.chart import Chart
 
 
 def run(plan: dict[str, Any], *, quiet: bool) -> None:
     """Sweep as the command line asked for, print the table, and say where the drawings are."""
-    from synfog_usd.lab.study import chart as study
-    from synfog_usd.lab.study import verdicts
+    from synfog_usd.lab import chart as charts
+    from synfog_usd.lab import verdicts
 
-    sweep = study.ChartPlan(**plan)
+    sweep = charts.ChartPlan(**plan)
     with shown(quiet) as (progress, _):
-        chart = study.chart(sweep, progress=progress)
+        chart = charts.chart(sweep, progress=progress)
     if quiet:
         return
     for note in chart.notes:

@@ -334,24 +334,24 @@ def selftest(
     """Measure known answers with every model on this machine; exit code 1 if one is missed."""
     import time
 
-    from synfog_usd.lab.study import selftest as study
+    from synfog_usd.lab import selftest as tests
     from synfog_usd.render import backend
 
     chosen = backend.start(options.device(variant, gpu)).variant  # type: ignore[arg-type]
     print(f"backend: {chosen}", file=sys.stderr if as_json else sys.stdout, flush=True)
-    cases, rows, start = study.select(quick), [], time.monotonic()
-    for index, row in enumerate(study.run(cases), 1):
+    cases, rows, start = tests.select(quick), [], time.monotonic()
+    for index, row in enumerate(tests.run(cases), 1):
         rows.append(row)
         print(f"{index:3}/{len(cases)}  {time.monotonic() - start:5.0f} s  {row[0].case}", file=sys.stderr, flush=True)
     if as_json:
         print(json.dumps({"variant": chosen, "cases": [result.as_dict() for row in rows for result in row]}, indent=2))
     else:
-        print(study.table(rows))
+        print(tests.table(rows))
         print(
             "!: missed and counted; (): outside the model's stated domain; NaN: paths that were not finite; volpath "
             "and volpathmis are shown, not counted"
         )
-        print(study.summary(rows))
+        print(tests.summary(rows))
     raise typer.Exit(1 if any(result.failed for row in rows for result in row) else 0)
 
 

@@ -1,1 +1,1 @@
-"""Where the program is measured: how exact it is, and what that costs."""
+"""How good and how fast: truths to test against, the self-test, and speed against accuracy."""

@@ -95,7 +95,7 @@ class Component:
             whose 'a' is the thing itself.
         textures: where its pictures lie, seen from its folder.
         origin: what its files say of source and licence.
-        thumbnail: whether `study.library` makes a picture of it, which the interface then names before it is there.
+        thumbnail: whether it gets a picture, which the interface then names before it is there.
     """
 
     name: str

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from synfog_usd.base.progress import duration
-from synfog_usd.lab.study.points import Point, summary
+from synfog_usd.lab.points import Point, summary
 
 
 def verdicts(points: Sequence[Point]) -> list[str]:

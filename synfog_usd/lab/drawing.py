@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from synfog_usd.lab.study.points import ERROR, MOTTLE, Point, front, lines
+from synfog_usd.lab.points import ERROR, MOTTLE, Point, front, lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ import numpy as np
 
 from synfog_usd.base.arrays import Array
 from synfog_usd.base.errors import SynfogError
-from synfog_usd.lab.study.cases import Case, Known, every
+from synfog_usd.lab.cases import Case, Known, every
 from synfog_usd.render import models
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
@@ -93,7 +93,7 @@ def run(cases: Iterable[Case] | None = None, *, quick: bool = False) -> Iterator
     """Measure every case with every model, one case after the other.
 
     Args:
-        cases: those of `study.cases` if left out.
+        cases: those of `cases` if left out.
         quick: only those that are marked so.
     """
     for case in select(quick) if cases is None else cases:

@@ -8,7 +8,7 @@ from support import cli
 from support.stages import street
 
 from synfog_usd.base.seeds import stream
-from synfog_usd.lab.study.accuracy import combine, compare, mottle
+from synfog_usd.lab.accuracy import combine, compare, mottle
 
 SHAPE = (90, 160)
 PIXELS = SHAPE[0] * SHAPE[1]

@@ -28,9 +28,9 @@ from synfog_usd.base.numbers import QUALITIES, check_quality
 from synfog_usd.base.progress import Progress, silent
 from synfog_usd.base.seeds import seed32
 from synfog_usd.dataset.plan import AS_AUTHORED, BakePlan, shots
-from synfog_usd.lab.study import accuracy
-from synfog_usd.lab.study.accuracy import Reference
-from synfog_usd.lab.study.points import Point, front, line_name, table
+from synfog_usd.lab import accuracy
+from synfog_usd.lab.accuracy import Reference
+from synfog_usd.lab.points import Point, front, line_name, table
 
 if TYPE_CHECKING:
     from synfog_usd.render.load import MitsubaScene
@@ -461,7 +461,7 @@ def _points(
 
 
 def _write(result: Chart, out: Path) -> None:
-    from synfog_usd.lab.study import drawing
+    from synfog_usd.lab import drawing
 
     svg, png = drawing.draw_chart(result.points, title=result.title)
     notes = "".join(f"{note}\n" for note in result.notes)

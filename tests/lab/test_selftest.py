@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from synfog_usd.cli.main import app
-from synfog_usd.lab.study import cases, selftest
+from synfog_usd.lab import cases, selftest
 from synfog_usd.render import backend, models
 
 
