@@ -54,7 +54,7 @@ def asphalt_lane() -> tuple[Array, Array]:
     cracks = np.clip(ndimage.gaussian_filter(cracks, 0.7, mode="wrap") * 2.6, 0, 1)
     rgb *= (1 - 0.75 * cracks)[..., None]
     damp = np.clip(0.5 * wet + 0.55 * noise((h, w), 2.4, "lane", "damp", high=24), -1, 1.3)
-    gloss = 0.58 - 0.15 * damp + 0.07 * noise((h, w), 0.0, "lane", "gloss", low=100)
+    gloss = 0.81 - 0.10 * damp + 0.05 * noise((h, w), 0.0, "lane", "gloss", low=100)
     return np.clip(rgb, 0.012, 1), np.clip(gloss[::2, ::2], 0.24, 0.95)
 
 
@@ -63,7 +63,7 @@ def asphalt() -> tuple[Array, Array]:
     n = (1024, 1024)
     tone = 0.085 * (1 + 0.11 * noise(n, 2.0, "asphalt", 0, high=30) + 0.33 * noise(n, 0.0, "asphalt", 1, low=120))
     rgb = tone[..., None] * np.array([1.0, 0.985, 0.96])
-    gloss = 0.55 - 0.10 * noise(n, 2.2, "asphalt", 2, high=20) + 0.06 * noise(n, 0.0, "asphalt", 3, low=80)
+    gloss = 0.80 - 0.07 * noise(n, 2.2, "asphalt", 2, high=20) + 0.04 * noise(n, 0.0, "asphalt", 3, low=80)
     return np.clip(rgb, 0.012, 0.5), np.clip(gloss[::2, ::2], 0.25, 0.95)
 
 
@@ -85,7 +85,7 @@ def chip_seal() -> tuple[Array, Array]:
         red[row, column][..., None], np.array([1.18, 0.97, 0.88]), np.array([1.0, 0.985, 0.96])
     )
     rgb = rgb * (1 - 0.7 * lost[..., None]) + 0.7 * lost[..., None] * 0.035
-    gloss = 0.72 - 0.22 * lost + 0.05 * noise(n, 0.0, "chips", "gloss", low=100)
+    gloss = 0.89 - 0.22 * lost + 0.04 * noise(n, 0.0, "chips", "gloss", low=100)
     return np.clip(rgb, 0.015, 0.6), np.clip(gloss[::2, ::2], 0.3, 0.95)
 
 
@@ -122,7 +122,7 @@ def paving() -> tuple[Array, Array]:
     albedo *= 1 - 0.4 * gum
     rgb = albedo[..., None] * np.stack([1.02 + warm, np.ones_like(warm), 0.93 - warm], axis=-1)
     rgb = rgb * (1 - joint[..., None]) + joint[..., None] * np.array([0.065, 0.06, 0.048])
-    gloss = 0.72 - 0.09 * stain + 0.12 * joint
+    gloss = 0.82 - 0.07 * stain + 0.10 * joint
     return np.clip(rgb, 0.01, 0.9), np.clip(gloss[::2, ::2], 0.35, 0.95)
 
 

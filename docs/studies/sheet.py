@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from docs.studies import command
 from synfog_usd.base import files, resources
 from synfog_usd.dataset.bake import bake
-from synfog_usd.dataset.plan import BakePlan, Sampling
+from synfog_usd.dataset.plan import BakePlan
 from synfog_usd.dataset.sets.run import numbers_of
 from synfog_usd.world.compose import compose
 
@@ -26,7 +26,7 @@ BACKGROUND, INK = (24, 24, 26), (225, 225, 225)
 MOST = 64
 """Seeds of one sheet."""
 
-FOGS, SIZE_PX, SAMPLES = ("clear", "mor300"), (320, 180), 16
+FOGS, SIZE_PX = ("clear", "mor300"), (320, 180)
 """Of each preview."""
 
 
@@ -64,8 +64,7 @@ def previews(recipe: Path, seed: int, lighting: str) -> list[Image.Image]:
     with tempfile.TemporaryDirectory(prefix="synfog-usd-") as scratch:
         stage, out = Path(scratch) / "stage.usda", Path(scratch) / "out"
         compose(recipe, stage, seed=seed)
-        sampling = Sampling(samples=SAMPLES)
-        bake(BakePlan(stage, out, lighting=(lighting,), fog=FOGS, size=SIZE_PX, sampling=sampling))
+        bake(BakePlan(stage, out, lighting=(lighting,), fog=FOGS, size=SIZE_PX))
         return [Image.open(out / lighting / fog / "srgb.png").convert("RGB") for fog in FOGS]
 
 

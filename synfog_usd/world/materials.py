@@ -64,8 +64,8 @@ PALETTE: dict[str, Material] = {
     # ground
     "asphalt_lane": Material(WHITE, texture="asphalt_lane.jpg", gloss="asphalt_lane_gloss.jpg"),
     "asphalt": Material(WHITE, texture="asphalt.jpg", gloss="asphalt_gloss.jpg"),
-    "asphalt_patch": Material((0.62, 0.62, 0.64), texture="asphalt.jpg", roughness=0.55),
-    "asphalt_old": Material((1.35, 1.33, 1.3), texture="asphalt.jpg", roughness=0.7),
+    "asphalt_patch": Material((0.62, 0.62, 0.64), texture="asphalt.jpg", roughness=0.8),
+    "asphalt_old": Material((1.35, 1.33, 1.3), texture="asphalt.jpg", roughness=0.82),
     "tar": Material(_grey(0.02), 0.28),
     "marking": Material(WHITE, texture="marking.jpg", roughness=0.55),
     "paving": Material(WHITE, texture="paving.jpg", gloss="paving_gloss.jpg"),

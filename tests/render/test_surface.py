@@ -1,15 +1,21 @@
 """UsdPreviewSurface's BSDF against its formula, written here once more, and against what no surface may do."""
 
+import math
+
 import drjit as dr
 import numpy as np
 import pytest
+from PIL import Image
 from support.parts import bulb, glow, matte, rgb, squares
 from support.stats import assert_draws
 
+from synfog_usd.base import resources
 from synfog_usd.render import backend, surface
 from synfog_usd.render.load import make_bsdf
 from synfog_usd.render.shot import render
 from synfog_usd.scene.testing import scene
+from synfog_usd.world.materials import PALETTE
+from synfog_usd.world.roads.asphalt import ALBEDO, Asphalt, looks
 
 PARTS = {
     "plain": {"roughness": 0.5},
@@ -142,6 +148,37 @@ def test_surfaces_that_are_drawn_together_answer_as_each_does_by_itself(mi, name
     np.testing.assert_allclose(
         told(both), np.stack([own[n][:, face] for face, n in enumerate(number)], axis=1), rtol=1e-6
     )
+
+
+@pytest.mark.parametrize(
+    "wet, kind, low, high",
+    [
+        ("dry", "new", 1.35, 2.0),
+        ("dry", "worn", 0.85, 1.35),
+        ("dry", "old", 0.42, 0.85),
+        ("dry", "chip_seal", 0.42, 0.85),
+        ("damp", "worn", 4.5, 7.2),
+    ],
+)
+def test_asphalt_shines_as_its_class_of_road_surfaces(wet, kind, low, high):
+    """The specular factor S1 of CIE 144:2001, from 1 degree above the road, in the classes II to IV and, wet, WII: the
+    luminance coefficient of light from the front at tan 2, by its cosine cubed, over that of light from above.
+    """
+    paved = Asphalt(kind, wet)
+    look = looks(paved, PALETTE)[paved.lane]
+    base = ALBEDO[paved.lane] * np.array(look.colour)
+    with Image.open(resources.folder("assets") / "textures" / look.gloss) as picture:
+        rough = np.quantile(np.asarray(picture) / 255.0, (np.arange(16) + 0.5) / 16) * look.gloss_factor
+    cosine = np.array([1.0, 5.0**-0.5])
+    si, light = (
+        seen_from(math.sin(math.radians(1.0)), 2, turn=math.pi),
+        along(np.sqrt(1.0 - cosine**2), np.zeros(2), cosine),
+    )
+    faces = [made(base, roughness=float(one), eta=look.ior) for one in rough]
+    above, front = (
+        np.mean([np.array(face.eval(backend.mitsuba().BSDFContext(), si, light))[1] for face in faces], axis=0) / cosine
+    )
+    assert low < front * cosine[1] ** 3 / above < high
 
 
 def pictures():
