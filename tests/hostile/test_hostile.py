@@ -650,7 +650,7 @@ def test_values_nested_without_end_are_one_line(tmp_path):
     promised("check", written(tmp_path / "deep.usda", HEAD + CAMERA + text))
 
 
-@pytest.mark.parametrize("table, rows", [("SPECS", 1 << 27), ("TOKENS", 1 << 40)])
+@pytest.mark.parametrize("table, rows", [pytest.param("SPECS", 1 << 27, marks=pytest.mark.slow), ("TOKENS", 1 << 40)])
 def test_a_table_of_a_damaged_file_that_says_it_is_long_is_one_line(tmp_path, table, rows):
     """USD makes room for as many rows or letters as a file of 2 kB says it has."""
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))
@@ -675,6 +675,7 @@ stage.Save()
 """
 
 
+@pytest.mark.slow
 def test_a_small_file_that_unpacks_to_gigabytes_is_one_line(tmp_path):
     """400 million equal numbers in 0.4 MB; made in a child, since what is started shows its parent's memory."""
     path = tmp_path / "a.usdc"
