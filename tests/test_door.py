@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.cli import process
+from support.cli import run
 from support.stages import street
 
 import synfog_usd as sf
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     """A street, and in `command` its bake by the command line."""
     folder = tmp_path_factory.mktemp("door")
     (folder / "street.usda").write_text(street(lamp=True))
-    done = process("bake", "street.usda", "-o", "command", *VIEW, cwd=folder)
+    done = run("bake", "street.usda", "-o", "command", *VIEW, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -261,7 +261,7 @@ def DomeLight "Sky"
 
 def test_check_reads_as_the_command_prints_it(folder):
     found = sf.check(folder / "street.usda")
-    assert found.errors == () and f"{found}\n" == process("check", folder / "street.usda").stdout
+    assert found.errors == () and f"{found}\n" == run("check", folder / "street.usda").stdout
 
 
 def test_a_set_is_made_from_python(folder, monkeypatch):

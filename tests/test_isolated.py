@@ -84,7 +84,7 @@ VERBS = {
 MAKES = {"out": "bake", "set": "dataset run"}
 """Folders that verbs take, and the verb that makes them."""
 
-QUICK = ("check", "bake")
+QUICK = ("check",)
 LONG_S = {"selftest": 15}
 """Verbs that are ended after so many seconds: all is imported by then."""
 

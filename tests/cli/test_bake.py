@@ -223,7 +223,9 @@ def test_a_stage_without_fog_bakes_clear_air_and_says_so(tmp_path):
         )
     )
     done = run(
-        "bake", path, "--resolution", "32x18", "--samples", "4", "--lighting", "sky", "--fog", "mor600", cwd=tmp_path
+        *("bake", path, "--resolution", "32x18", "--samples", "2", "--quality", "reference"),
+        *("--lighting", "sky", "--fog", "mor600"),
+        cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
     assert "--fog mor200 adds fog" in done.stderr  # 150 m is what the stage calls a variant of its own, without fog
@@ -295,20 +297,8 @@ def test_strict_stops_at_what_is_not_understood(tmp_path):
     """A prim that cannot be drawn is a warning; `strict=True` of Python stops at it."""
     path = tmp_path / "odd.usda"
     path.write_text(street().replace('def Camera "Ego"', 'def Volume "Smoke"\n    {\n    }\n    def Camera "Ego"'))
-    loose = run(
-        "bake",
-        path,
-        "-o",
-        tmp_path / "a",
-        "--fog",
-        "clear",
-        "--lighting",
-        "sky",
-        "--resolution",
-        "32x18",
-        "--samples",
-        "4",
-    )
+    how = ("--fog", "clear", "--lighting", "sky", "--resolution", "32x18", "--samples", "2", "--quality", "reference")
+    loose = run("bake", path, "-o", tmp_path / "a", *how)
     assert loose.returncode == 0 and "/World/Smoke" in loose.stderr
     assert "none was asked for" not in loose.stderr  # clear air is what was asked for
     with pytest.raises(StrictError, match="/World/Smoke"):
@@ -377,7 +367,8 @@ def test_a_bake_is_exposed_as_a_photographer_says(stage, tmp_path):
     """
     import rawpy
 
-    common = ("bake", stage, "--lighting", "sky", "--fog", "clear", "--resolution", "64x36", "--samples", "8")
+    common = ("bake", stage, "--lighting", "sky", "--fog", "clear", "--resolution", "64x36", "--samples", "2")
+    common += ("--quality", "reference")
 
     def baked(name, *more):
         done = run(*common, "-o", tmp_path / name, *more)

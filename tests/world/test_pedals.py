@@ -15,7 +15,7 @@ FPS = 10.0
 STREETS = {"crossroads": ("/World/People/Rider_1", "/World/Vehicles/Bicycle_1"), "residential": (None, None)}
 
 
-@pytest.fixture(scope="module", params=STREETS)
+@pytest.fixture(scope="module", params=["residential", pytest.param("crossroads", marks=pytest.mark.slow)])
 def street(request, tmp_path_factory):
     """A still and its clip of 2 s, and the paths of who rides and of what is ridden."""
     folder = tmp_path_factory.mktemp(request.param)

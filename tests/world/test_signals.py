@@ -12,7 +12,8 @@ from synfog_usd.world import compose
 from synfog_usd.world.traffic import signals
 from synfog_usd.world.traffic.motion import _signal_street
 
-SECONDS, FPS = 14.0, 5.0
+SECONDS, FPS = 14.0, 2.0
+WAITS = ["traffic.main_street=waits", "people.count=0"]
 
 
 @pytest.mark.parametrize("street", [signals.MAIN, signals.SIDE])
@@ -60,9 +61,7 @@ def changing_seed():
 def street():
     """A drawn crossing whose main street waits at first, and its clip."""
     seed = changing_seed()
-    recipe = compose.load(
-        Path("crossroads"), ["traffic.main_street=waits", f"time.seconds={SECONDS}", f"time.fps={FPS}"]
-    )
+    recipe = compose.load(Path("crossroads"), [*WAITS, f"time.seconds={SECONDS}", f"time.fps={FPS}"])
     return seed, *compose.clip_of(recipe, compose.draw(recipe, seed=seed), seed=seed)
 
 
@@ -86,9 +85,8 @@ def test_the_queue_stands_at_red_and_goes_at_green(street):
 def test_lenses_change_in_the_stage(street, tmp_path):
     """At dusk the lens that is lit emits and no other does; the stage at frame 0 shows what the still does."""
     seed, spec, clip = street
-    change = {"traffic.main_street": "waits"}
     for name, seconds in (("still", 0.0), ("clip", SECONDS)):
-        compose.compose("crossroads", tmp_path / f"{name}.usda", seed=seed, change=change, seconds=seconds, fps=FPS)
+        compose.compose("crossroads", tmp_path / f"{name}.usda", seed=seed, change=WAITS, seconds=seconds, fps=FPS)
     stages = [Usd.Stage.Open(str(tmp_path / f"{name}.usda")) for name in ("still", "clip")]
     for stage in stages:
         stage.GetPrimAtPath("/World").GetVariantSet("lighting").SetVariantSelection("active")

@@ -9,6 +9,7 @@ square evenly stay even on the sphere.  A sky with a sun is left to the renderer
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -133,12 +134,18 @@ def _directions(within: int) -> Array:
     return cells.reshape(STEPS, STEPS, within * within, 3)
 
 
+@functools.cache
+def _cosines() -> Array:
+    """(STEPS^2, (STEPS * WITHIN)^2) cosines between normals, by their rows, and directions: the same for every sky."""
+    directions = _directions(WITHIN).reshape(-1, 3)
+    normals = _directions(2).reshape(STEPS * STEPS, -1, 3)
+    return np.mean([np.maximum(some @ directions.T, 0.0) for some in normals.swapaxes(0, 1)], axis=0)
+
+
 def _chances(environment: Emitter) -> Array:
     """(STEPS^2, STEPS, STEPS) chance of each cell by the row of the normal; of each row they add up to 1."""
     mi = backend.mitsuba()
     directions = _directions(WITHIN).reshape(-1, 3)
-    normals = _directions(2).reshape(STEPS * STEPS, -1, 3)
-    cosines = np.mean([np.maximum(some @ directions.T, 0.0) for some in normals.swapaxes(0, 1)], axis=0)
     si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
     si.wi = -mi.Vector3f(*(np.ascontiguousarray(axis, dtype=np.float32) for axis in directions.T))
     light = _numbers(mi.luminance(environment.eval(si)), len(directions))
@@ -148,7 +155,7 @@ def _chances(environment: Emitter) -> Array:
         of_cells = weights.reshape(len(weights), STEPS, STEPS, -1).sum(axis=3)
         return of_cells / np.maximum(of_cells.sum(axis=(1, 2), keepdims=True), 1e-30)
 
-    mixed = (1.0 - EVEN_SHARE) * shares(cosines * light) + EVEN_SHARE * shares(light[None])
+    mixed = (1.0 - EVEN_SHARE) * shares(_cosines() * light) + EVEN_SHARE * shares(light[None])
     return mixed / np.maximum(mixed.sum(axis=(1, 2), keepdims=True), 1e-30)
 
 
