@@ -169,7 +169,7 @@ def test_a_picture_is_drawn_by_those_rays():
     assert clear.radiance.provenance["fisheye_fov_x_deg"] == 200.0
 
 
-@pytest.mark.parametrize("model", ["path", "volpath"])
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_fog_is_the_same_behind_it_by_another_model(model):
     """The furnace: in fog that takes no light a sky of 1 is 1 everywhere; volpath's mean of 3072 paths is known to
     0.006.

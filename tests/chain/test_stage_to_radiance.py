@@ -10,7 +10,7 @@ from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load, render
 from synfog_usd.translate import translate
 
-UNITS = [(1.0, "Z"), (1.0, "Y"), (0.01, "Z"), (0.01, "Y")]
+UNITS = [(1.0, "Z"), (1.0, "Y"), (0.01, "Z")]
 
 
 def scene(folder, *, fog="mor150", size=(32, 18), **more):

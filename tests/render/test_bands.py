@@ -158,7 +158,7 @@ def test_smoke_dims_red_green_and_blue_by_its_own_extinctions():
     assert wanted[0] > 1.2 * wanted[2]
 
 
-@pytest.mark.parametrize("model, rtol", [("path", 0.02), ("volpath", 0.04)])
+@pytest.mark.parametrize("model, rtol", [("path", 0.02), pytest.param("volpath", 0.04, marks=pytest.mark.slow)])
 def test_dust_is_brown(model, rtol):
     """A thin cloud of it before a black wall under an even sky: once scattered light is as its scattering is.
 

@@ -33,7 +33,9 @@ def half_plane(edge_m, distance_m, radiance=1.0):
     return squares([(x, distance_m, z) for x, z in corners], **black(radiance))
 
 
-@pytest.mark.parametrize("model, distance_m", [("path", 5.0), ("path", 80.0), ("volpath", 80.0)])
+@pytest.mark.parametrize(
+    "model, distance_m", [("path", 5.0), ("path", 80.0), pytest.param("volpath", 80.0, marks=pytest.mark.slow)]
+)
 def test_size_does_not_fall_with_distance(model, distance_m):
     """A sheet from x = 0.75 m on: pixels of 0.5 m are dark up to column 9, half lit in it, lit from 10 on."""
     seen = render(parallel({"shape_sheet": half_plane(0.75, distance_m)}), samples=256, model=model).radiance.pixels[

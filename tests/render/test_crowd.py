@@ -67,6 +67,7 @@ def test_two_thousand_become_a_hundred_and_fifty():
     assert ids == {source.instance_of[(key,)] for key in lit(source)}
 
 
+@pytest.mark.slow
 def test_their_light_is_that_of_each_alone(monkeypatch):
     """Means of a wall behind 150 lamps, some of which the eye sees."""
     monkeypatch.setattr(crowd, "NEAREST", 20)

@@ -464,7 +464,8 @@ def test_light_groups_lose_their_noise_too_and_add_up_to_the_picture():
 
 
 @needs_oidn
-def test_a_draft_adds_up_and_is_nearly_as_clean_and_as_bright():
+@pytest.mark.parametrize("count, most", [(1, 1.6), pytest.param(6, 1.25, marks=pytest.mark.slow)])
+def test_a_draft_adds_up_and_is_nearly_as_clean_and_as_bright(count, most):
     """Surfaces and airlight are cleaned once each. Of 8 samples, against 128: relative RMS error of six seeds at most a
     quarter more than that of halves cleaned apart, the same mean, and groups that add up. The ratio of one seed is 0.9
     to 1.5, that of all of them 1.1 or 1.2.
@@ -476,7 +477,7 @@ def test_a_draft_adds_up_and_is_nearly_as_clean_and_as_bright():
         return shot.render(source, model="path", seed=seed, size=(48, 27), loaded=loaded, samples=samples, **how)
 
     truth, ways = rendered(128, 9), ({}, {"denoise": True}, {"denoise": True, "draft": True})
-    seeds = [[rendered(8, seed, **how) for how in ways] for seed in range(1, 7)]
+    seeds = [[rendered(8, seed, **how) for how in ways] for seed in range(1, count + 1)]
     _, clean, draft = seeds[0]
     assert draft.error is None and draft.radiance.provenance["denoised"] and not draft.warnings
     assert set(draft.components) >= {"surface", "airlight"} and "airlight_single" not in draft.components
@@ -485,5 +486,5 @@ def test_a_draft_adds_up_and_is_nearly_as_clean_and_as_bright():
     right = truth.radiance.pixels
     level = np.maximum(right, 0.05 * right.mean())
     errors = [rms([(one.radiance.pixels - right) / level for one in way]) for way in zip(*seeds, strict=True)]
-    assert errors[2] < 0.5 * errors[0] and errors[2] < 1.25 * errors[1]
+    assert errors[2] < 0.5 * errors[0] and errors[2] < most * errors[1]
     assert draft.radiance.pixels.mean() == pytest.approx(clean.radiance.pixels.mean(), rel=0.005)

@@ -41,7 +41,7 @@ def behind(panes, fog=(), lamps=1, bsdf=DARK, light=None):
     return scene({**world, **(light or {})}, fog, width_px=8, height_px=6, fov_x_deg=30.0)
 
 
-@pytest.mark.parametrize("lamps, panes", [("one", 3), ("many", 1)])
+@pytest.mark.parametrize("lamps, panes", [("one", 3), pytest.param("many", 1, marks=pytest.mark.slow)])
 def test_light_that_passes_panes_twice_is_as_much_less_and_no_noisier(lamps, panes):
     """Black panes before eye and lamps: 0.65 to the power of twice their number of what arrives without. Of the scatter
     three times as much is allowed as paths that end at a pane would make alone.

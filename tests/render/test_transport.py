@@ -191,7 +191,7 @@ def test_a_bank_inside_fog_dims_with_both(samples=512, resolves=0.06):
     assert_mean(pictures(world, samples=samples), np.exp(-(0.03 * 15 + 0.3 * 5)), resolves=resolves)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["path", pytest.param("volpath", marks=pytest.mark.slow)])
 def test_the_same_seed_gives_the_same_bytes(model):
     """And another seed does not."""
     world = scene({**SKY, "shape_wall": wall(50.0, bsdf={"type": "diffuse"})}, [uniform_fog()])
@@ -201,17 +201,18 @@ def test_the_same_seed_gives_the_same_bytes(model):
     assert first.radiance.pixels.tobytes() != other.radiance.pixels.tobytes()
 
 
-def test_bytes_do_not_depend_on_how_many_pixels_a_lane_takes(monkeypatch):
-    """A lane for each, one lane for all, or seven that share them unevenly: the same bytes."""
+@pytest.mark.parametrize("few", [7, pytest.param(1, marks=pytest.mark.slow)])
+def test_bytes_do_not_depend_on_how_many_pixels_a_lane_takes(monkeypatch, few):
+    """A lane for each, or seven that share them unevenly, or one for all: the same bytes."""
     world = lamps_in_fog(0.87, BOX)
     pictures = []
-    for paths, lanes in ((1, 1), (1 << 20, 1), (1 << 20, 7)):
+    for paths, lanes in ((1, 1), (1 << 20, few)):
         monkeypatch.setattr(tasks, "PATHS", paths)
         monkeypatch.setattr(tasks, "LEAST_LANES", lanes)
         pictures.append(render(world, samples=2, model="path"))
-    for other in pictures[1:]:
-        assert other.radiance.pixels.tobytes() == pictures[0].radiance.pixels.tobytes()
-        assert other.radiance.variance.tobytes() == pictures[0].radiance.variance.tobytes()
+    one, other = (done.radiance for done in pictures)
+    assert other.pixels.tobytes() == one.pixels.tobytes()
+    assert other.variance.tobytes() == one.variance.tobytes()
 
 
 def test_the_variance_is_that_of_the_mean(model="path"):

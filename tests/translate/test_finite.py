@@ -201,7 +201,7 @@ def numbered(n, text, path):
     return text, "/".join(["", f"{root[0]}{n}{instance}", *below])
 
 
-@pytest.mark.parametrize("bad", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("bad", ["nan", pytest.param("inf", marks=pytest.mark.slow), "-inf"])
 def test_a_number_that_is_none_is_told_of_its_prim_and_reaches_no_renderer(written, tmp_path, bad):
     """In every place of shapes, materials and lights; a bake of what check lets through ends well."""
     cases = [numbered(n, text, path) for n, (text, path) in enumerate((*shapes(bad), *materials(bad)))]
