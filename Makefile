@@ -1,5 +1,5 @@
 # Two commands: `make demo` bakes the shipped crossing, `make test` passes the tests in minutes.
-# `make test-all` passes the slow ones too: bytes of what ships, the wheel, fuzzers, agreement over many seeds.
+# `make test-all` passes the slow ones too: what ships, the wheel, fuzzers, many seeds, whole bakes, second cases.
 # All first make their own environment in .venv.  The machine itself is changed only where
 # it is Debian or Ubuntu and you are root: a missing python3-venv or libllvm19 is installed.
 # Without root libLLVM comes from the package index into .venv (x86-64 Linux).

@@ -298,10 +298,13 @@ def test_a_closed_room_with_mirror_pane_and_one_lamp_gives_a_picture(size, sampl
     assert any("still errs by" in line for line in done.warnings) == (done.relative_error > picture.LARGE_ERROR)
 
 
+PLAIN = scene(SKY, [uniform_fog(visibility_m=100.0)])
+
+
 def test_without_pyoidn_a_render_goes_on_with_one_line(monkeypatch):
     """The plain mean, and what to install."""
     monkeypatch.setitem(sys.modules, "pyoidn", None)
-    done = shot.render(street(), model="path", samples=4, size=(16, 9), denoise=True)
+    done = shot.render(PLAIN, model="path", samples=4, size=(16, 9), denoise=True)
     assert done.error is None
     (line,) = done.warnings
     assert "pip install pyoidn" in line and "\n" not in line
@@ -310,7 +313,7 @@ def test_without_pyoidn_a_render_goes_on_with_one_line(monkeypatch):
 @needs_oidn
 def test_a_model_that_tells_nothing_apart_is_given_as_it_is():
     """`volpath` has no components: its plain mean, and why it is one."""
-    done = shot.render(street(), model="volpath", samples=4, size=(16, 9), denoise=True)
+    done = shot.render(PLAIN, model="volpath", samples=4, size=(16, 9), denoise=True)
     assert done.error is None and done.why.endswith("not denoised, since it tells no components apart")
 
 
