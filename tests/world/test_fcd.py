@@ -15,6 +15,9 @@ from synfog_usd.world import compose, library
 from synfog_usd.world.roads import rules
 from synfog_usd.world.traffic import fcd
 
+ALONE = {"people.count": 0}
+"""Nobody walks whom no file names."""
+
 BY_HAND = """<fcd-export>
   <timestep time="10.00">
     <vehicle id="a" x="3.0" y="120.0" z="2.5" angle="90.0" type="saloon" speed="10"/>
@@ -36,7 +39,7 @@ def test_one_car_and_one_person_by_hand(tmp_path):
     """
     (tmp_path / "t.xml").write_text(BY_HAND)
     out = tmp_path / "street.usda"
-    spec = compose.compose("residential", out, seed=3, traffic=tmp_path / "t.xml")
+    spec = compose.compose("residential", out, seed=3, traffic=tmp_path / "t.xml", change=ALONE)
     stage = Usd.Stage.Open(str(out))
     car, person = (next(p for p in spec.placed if p.name.endswith(f"_F00{k}")) for k in (1, 2))
     assert (car.asset, library.model(person.asset).group) == ("saloon", "person")
@@ -65,8 +68,9 @@ def rows(path):
 def test_a_clip_goes_out_and_comes_in_again(tmp_path):
     """A clip's own FCD drives it to the same places within a millimetre."""
     paths = [tmp_path / "a.xml", tmp_path / "b.xml"]
-    first = compose.compose("residential", tmp_path / "a.usda", seed=3, seconds=1.0, fcd=paths[0])
-    compose.compose("residential", tmp_path / "b.usda", seed=3, traffic=paths[0], fcd=paths[1])
+    how = {"seed": 3, "change": {"people.count": 6}}
+    first = compose.compose("residential", tmp_path / "a.usda", seconds=1.0, fcd=paths[0], **how)
+    compose.compose("residential", tmp_path / "b.usda", traffic=paths[0], fcd=paths[1], **how)
     wanted, found = (rows(path) for path in paths)
     assert len(found) >= 9
     assert len(wanted[0.0]) > 8
@@ -107,9 +111,8 @@ def test_who_rides_is_hidden(tmp_path):
     The car goes at 10 m/s from the first frame to the last.
     """
     (tmp_path / "t.xml").write_text(FROM_SUMO)
-    spec = compose.compose(
-        "residential", tmp_path / "s.usda", seed=3, traffic=tmp_path / "t.xml", fcd=tmp_path / "o.xml"
-    )
+    told = {"traffic": tmp_path / "t.xml", "fcd": tmp_path / "o.xml"}
+    spec = compose.compose("residential", tmp_path / "s.usda", seed=3, change=ALONE, **told)
     found = rows(tmp_path / "o.xml")
     assert {time: sum(one[0] == "person" for one in found[time]) for time in (0.0, 0.5, 1.0, 2.0, 2.5, 2.9)} == {
         0.0: 1, 0.5: 0, 1.0: 0, 2.0: 0, 2.5: 0, 2.9: 0,
@@ -136,7 +139,7 @@ def test_ego_stays_for_the_whole_clip(tmp_path):
     text = FROM_SUMO.replace('"b"', '"ego"').replace('<vehicle id="ego" x="2" y="80" angle="0" type="speedy"/>', "")
     (tmp_path / "t.xml").write_text(text)
     with pytest.raises(RecipeError, match=r"'ego' is there from 0 to 2 s, and the clip goes from 0 to 2\.9 s"):
-        compose.compose("residential", tmp_path / "s.usda", seed=3, traffic=tmp_path / "t.xml")
+        compose.compose("residential", tmp_path / "s.usda", seed=3, traffic=tmp_path / "t.xml", change=ALONE)
 
 
 def test_rows_are_as_sumo_writes_them(tmp_path):

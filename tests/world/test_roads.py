@@ -26,7 +26,7 @@ from synfog_usd.world.roads.reference_line import ReferenceLine, bends
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = ROOT / "stages" / "recipes"
 ROADS = tuple(sorted(path.stem for path in RECIPES.glob("*.yaml") if "world: road" in path.read_text()))
-QUICK = [(name, seed) for name in ROADS for seed in range(3)]
+FEW = [pytest.param(name, n, marks=pytest.mark.slow if n else ()) for name in ROADS for n in range(3)]
 ALL = [(name, seed) for seed in range(-(-500 // len(ROADS))) for name in ROADS][:500]
 USERS = {"person", "rider", "car", "truck", "bus", "motorcycle", "bicycle"}
 
@@ -199,7 +199,7 @@ def test_a_carriageway_falls_from_its_crown_to_its_gutters():
 # -- what stands where
 
 
-@pytest.mark.parametrize("name, seed", QUICK)
+@pytest.mark.parametrize("name, seed", FEW)
 def test_nothing_overlaps_floats_or_goes_against_its_lane(name, seed):
     """A few seeds of every recipe; all 500 are among the long tests."""
     check(name, seed)
@@ -301,7 +301,7 @@ def stage_of(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in ("bridge", "rural", "tunnel") else pytest.param(n, marks=pytest.mark.slow) for n in ROADS]
+    "name", [n if n in ("bridge", "rural") else pytest.param(n, marks=pytest.mark.slow) for n in ROADS]
 )
 def test_a_stage_is_whole_labelled_and_valid(stage_of, name):
     """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator

@@ -172,7 +172,7 @@ def _arm_of(junction, p):
     return arm, found[arm]
 
 
-@pytest.mark.parametrize("seed", QUICK)
+@pytest.mark.parametrize("seed", [pytest.param(n, marks=pytest.mark.slow if n else ()) for n in QUICK])
 def test_nothing_overlaps_floats_or_goes_the_wrong_way(seed):
     """A few seeds; hundreds are among the long tests."""
     check(seed)
