@@ -75,7 +75,7 @@ def rigs(tmp_path_factory):
             "sky.heading_deg=70",
             "camera.headlights=low_beam_led",
         ]
-        compose(RECIPES / "motorway.yaml", folder / f"{rig}.usda", seed=2, change=changes)
+        compose(RECIPES / "tunnel.yaml", folder / f"{rig}.usda", seed=2, change=changes)
     return {path.stem: Usd.Stage.Open(str(path)) for path in folder.iterdir()}
 
 

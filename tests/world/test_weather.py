@@ -86,6 +86,14 @@ def test_the_road_is_wet_where_it_rains_and_there_alone(stage):
     assert look(usd, "haze2000", "asphalt_lane") == dry
 
 
+def with_only(usd, *names):
+    """The stage, of whose world nothing but these is drawn by a translation."""
+    for prim in usd.GetPrimAtPath("/World").GetChildren():
+        if prim.GetName() not in names and prim.IsA(UsdGeom.Imageable):
+            UsdGeom.Imageable(prim).MakeInvisible()
+    return usd
+
+
 def test_rain_wets_the_roads_that_lie_in_it_and_are_dry(stage):
     """By its label a road gets as dark as asphalt under a film of water, 0.047 of 0.085, and shines; a wall stays, and
     a road beside the rain.  More water of another distribution is heavier rain.  A recipe's wet road is wet already.
@@ -116,7 +124,7 @@ def test_rain_wets_the_roads_that_lie_in_it_and_are_dry(stage):
     assert not dry.notes and dry.world["mat_1"] is surface
     _, usd = stage
     select(usd, fog="rain10", lighting="sky")
-    drawn = translate(usd)
+    drawn = translate(with_only(usd, "Fog", "Road"))
     assert rained_on(drawn) is drawn
 
 
@@ -175,10 +183,7 @@ def test_clouds_of_spray_go_with_vehicles_and_never_meet(motorway):
     by e.  The wind carries one field of patches, of the same mean.
     """
     spec, path = motorway
-    usd = open_stage(path)
-    for prim in usd.GetPrimAtPath("/World").GetChildren():
-        if prim.GetName() != "Fog" and prim.IsA(UsdGeom.Imageable):
-            UsdGeom.Imageable(prim).MakeInvisible()  # only the fog is asked of the translation
+    usd = with_only(open_stage(path), "Fog")
     field = [translate(usd, frame=frame, fog=sf.Fog(150, outer_scale_m=8.0)).fog[0] for frame in (0.0, 11.0)]
     way = np.subtract(field[1].origin_m, field[0].origin_m)
     np.testing.assert_allclose(way, (0.0, -2.0 * 11.0 / 4.0, 0.0), atol=1e-3)  # 2 m/s to the south
