@@ -24,7 +24,9 @@ def written(folder, text, name="own.yaml"):
     return path
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize(
+    "name", [name if name in ("mini", "synfog") else pytest.param(name, marks=pytest.mark.slow) for name in shipped()]
+)
 def test_every_shipped_set_loads(name):
     """And its words make the same scenes in Python."""
     found = load_set(Path(name))

@@ -51,7 +51,7 @@ def test_versions_say_the_same(tmp_path, minor, box):
 def drawn(folder, weather, **more):
     """A stage with the environment of a file."""
     path, _ = written(folder, scene(weather, **more))
-    compose.compose("residential", folder / "street.usda", seed=3, environment=path)
+    compose.compose("tunnel", folder / "street.usda", seed=3, environment=path)
     return Usd.Stage.Open(str(folder / "street.usda"))
 
 

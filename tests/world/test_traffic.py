@@ -139,9 +139,15 @@ def hold(spec, found):
 
 
 RECIPES = compose.recipes()
+FEW = [
+    name
+    if name in ("crossroads", "motorway", "residential", "roundabout")
+    else pytest.param(name, marks=pytest.mark.slow)
+    for name in RECIPES
+]
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("recipe", FEW)
 def test_nothing_overlaps_jumps_or_floats(recipe):
     """Four seconds of each recipe: outlines stay apart, 0.9 g and 0.5 g are kept, wheels are on the ground."""
     spec, found = clip(recipe, 1, 4.0)
@@ -185,7 +191,7 @@ def test_a_still_is_frame_0_of_its_clip(tmp_path):
 def test_the_same_seed_gives_the_same_bytes(tmp_path):
     """Two clips of one seed are equal files."""
     for folder in "ab":
-        compose.compose("rural", tmp_path / folder / "street.usda", seed=2, seconds=1.0)
+        compose.compose("tunnel", tmp_path / folder / "street.usda", seed=2, seconds=1.0)
     for file in sorted((tmp_path / "a").iterdir()):
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
 
@@ -262,8 +268,7 @@ def test_a_clip_that_leaves_the_road_is_one_clear_line():
 
 def test_layers_of_a_clip_have_one_clock(tmp_path):
     """A sublayer whose time codes last differently would be stretched."""
-    few = {"people.count": 2}
-    compose.compose("crossroads", tmp_path / "street.usda", seed=1, seconds=0.5, fps=20.0, change=few)
+    compose.compose("tunnel", tmp_path / "street.usda", seed=1, seconds=0.5, fps=20.0)
     for file in tmp_path.glob("*.usda"):
         assert Sdf.Layer.FindOrOpen(str(file)).timeCodesPerSecond == 20.0, file
 
