@@ -119,10 +119,7 @@ def test_of_several_exposures_the_most_sensitive_is_metered(automotive):
     assert exposure.limit == "none" and exposure.iso == 100.0
 
 
-@pytest.mark.parametrize(
-    "name, iso",
-    [("phone", 440.0), ("machine_vision_mono", 100.0), ("automotive_hdr", 100.0)],
-)
+@pytest.mark.parametrize("name, iso", [("phone", 440.0), ("machine_vision_mono", 100.0), ("automotive_hdr", 100.0)])
 def test_the_noise_floor_is_the_noise_of_frames(name, iso):
     """Standard deviation in the middle of real frames, from two of them, over what a nit gives: as `noise_floor` says,
     within 3 %.

@@ -88,10 +88,7 @@ def test_a_place_is_opencvs():
     np.testing.assert_allclose(lens.places(points) * width, wanted[:, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("coefficients", "fov"),
-    [((1.0, 0.0, -0.2), 190.0), ((), 90.0)],
-)
+@pytest.mark.parametrize(("coefficients", "fov"), [((1.0, 0.0, -0.2), 190.0), ((), 90.0)])
 def test_a_lens_that_folds_is_refused(coefficients, fov):
     """t - 0.2 t^3 falls from sqrt(1 / 0.6) = 74 degrees on."""
     with pytest.raises(ValueError, match="angle of view"):

@@ -21,8 +21,7 @@ def radiance(level: float, shape=(40, 6)) -> Image:
 
 
 @pytest.mark.parametrize(
-    ("exposure_s", "frequency_hz", "duty", "phase"),
-    [(0.001, 90.0, 0.1, 0.0), (0.0123, 250.0, 0.35, 0.9)],
+    ("exposure_s", "frequency_hz", "duty", "phase"), [(0.001, 90.0, 0.1, 0.0), (0.0123, 250.0, 0.35, 0.9)]
 )
 def test_the_share_is_that_of_a_million_moments(exposure_s, frequency_hz, duty, phase):
     """Counted at 10^5 moments of each of five exposures; the count is known to two moments a flank."""

@@ -102,12 +102,7 @@ def test_companding_is_undone_but_for_half_a_step():
         metadata["white_level_dn"],
         metadata["linear_black_dn"],
         metadata["linear_white_dn"],
-    ) == (
-        168,
-        4095,
-        168,
-        57_700,
-    )
+    ) == (168, 4095, 168, 57_700)
     assert metadata["companding"][0] == [168, 168] and metadata["companding"][-1] == [57_700.0, 4095.0]
     assert (
         (coded.pixels == np.rint(coded.pixels)).all()

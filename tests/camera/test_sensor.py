@@ -201,10 +201,7 @@ def test_rows_and_columns_have_offsets_that_stay_and_some_that_do_not():
     assert np.ptp(moved, axis=1).max() < 1e-4 and abs(moved[:, 0].std() - 2.0) < SIGMAS * 2.0 / math.sqrt(800)
 
 
-@pytest.mark.parametrize(
-    ("level", "number"),
-    [(0.4, 64), (0.6, 65), (959.6, 1023), (1e9, 1023), (-63.8, 0), (-1e6, 0)],
-)
+@pytest.mark.parametrize(("level", "number"), [(0.4, 64), (0.6, 65), (959.6, 1023), (1e9, 1023), (-63.8, 0), (-1e6, 0)])
 def test_numbers_are_rounded_and_stay_in_range(level, number):
     """Rounded, not cut; never above 2^n - 1 and never below 0."""
     assert (digital(analog(level)).pixels == number).all()

@@ -7,14 +7,7 @@ import re
 import pytest
 
 from synfog_usd.base.errors import ParameterError
-from synfog_usd.camera.profiles import (
-    LensProfile,
-    SensorProfile,
-    guessed,
-    limits_of,
-    load_lens,
-    load_sensor,
-)
+from synfog_usd.camera.profiles import LensProfile, SensorProfile, guessed, limits_of, load_lens, load_sensor
 from synfog_usd.camera.template import lens_template, sensor_template
 
 KINDS = {

@@ -233,10 +233,7 @@ def test_what_cannot_be_printed_is_one_line_and_no_success(verb, unbuffered, tmp
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    "node, told",
-    [("ND_standard_surface_surfaceshader", False), ("ND_no_such_node", True)],
-)
+@pytest.mark.parametrize("node, told", [("ND_standard_surface_surfaceshader", False), ("ND_no_such_node", True)])
 def test_a_shader_that_usd_has_not_and_we_draw_is_no_finding(tmp_path, node, told):
     stage = tmp_path / "a.usda"
     stage.write_text(

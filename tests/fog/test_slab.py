@@ -132,8 +132,7 @@ def test_fog_that_only_absorbs_obeys_beer_lambert(sigma_t):
 
 
 @pytest.mark.parametrize(
-    "change, words",
-    [({"top_m": 0.0}, "bottom below the top"), ({"ground": 1.1}, "ground albedo")],
+    "change, words", [({"top_m": 0.0}, "bottom below the top"), ({"ground": 1.1}, "ground albedo")]
 )
 def test_what_no_slab_can_be_is_refused(change, words):
     """One clear line each."""

@@ -178,10 +178,7 @@ def test_a_value_in_the_node_goes_before_the_profile(tmp_path, registry):
     )
 
 
-@pytest.mark.parametrize(
-    ("written", "value"),
-    [("1/60", 1 / 60), ("1e-3", 0.001), ("3", 3.0)],
-)
+@pytest.mark.parametrize(("written", "value"), [("1/60", 1 / 60), ("1e-3", 0.001), ("3", 3.0)])
 def test_times_may_be_written_as_photographers_and_programs_do(tmp_path, registry, written, value):
     """YAML 1.1 takes 1e-3 for text, and 1/60 is one."""
     graph = load(tmp_path, GOOD.replace("time_s: 1/4", f"time_s: {written}"), registry)

@@ -130,8 +130,7 @@ def test_any_damaged_text_ends_in_a_scene_or_an_error(damage):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["points", "faceVertexCounts", "faceVertexIndices", "protoIndices", "curveVertexCounts"],
+    "name", ["points", "faceVertexCounts", "faceVertexIndices", "protoIndices", "curveVertexCounts"]
 )
 def test_topology_that_makes_no_sense_is_left_out_or_refused(name):
     """Indices beyond the points, negative counts, numbers that are none, in each array of topology."""

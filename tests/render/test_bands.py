@@ -23,11 +23,7 @@ COUNTS = [8, 31]
 
 def shining(*value, distance_m=50.0):
     """A black wall that shines."""
-    return wall(
-        distance_m,
-        bsdf=matte(0.0),
-        emitter=glow(*value),
-    )
+    return wall(distance_m, bsdf=matte(0.0), emitter=glow(*value))
 
 
 def haze(angstrom, *, sigma_t=0.02, albedo=1.0, half_size=200.0):
@@ -121,11 +117,7 @@ def test_bands_change_nothing_where_all_is_grey():
 
 
 @pytest.mark.parametrize(
-    "wrong, words",
-    [
-        ({"bands": 5}, "--bands 5"),
-        ({"bands": 16, "model": "volpath"}, "R, G and B alone"),
-    ],
+    "wrong, words", [({"bands": 5}, "--bands 5"), ({"bands": 16, "model": "volpath"}, "R, G and B alone")]
 )
 def test_bands_that_cannot_be_are_refused(wrong, words):
     """With the option and what it takes."""

@@ -252,12 +252,7 @@ def lamp_in_a_room():
     inside.
     """
     walls = {f"shape_wall{axis}{side}": plane(axis, side) for axis in range(3) for side in (-1, 1)}
-    lamp = {
-        "type": "sphere",
-        "center": [0.5, 1.2, 0.5],
-        "radius": 0.1,
-        "emitter": glow(1000.0),
-    }
+    lamp = {"type": "sphere", "center": [0.5, 1.2, 0.5], "radius": 0.1, "emitter": glow(1000.0)}
     pane = squares([upright(-2.0, 2.0, 0.9, 0.0, 2.0)], bsdf={"type": "thindielectric"})
     mirror = squares([upright(-1.5, -0.5, 1.5, -1.0, 1.0)], bsdf={"type": "twosided", "bsdf": {"type": "conductor"}})
     return scene(

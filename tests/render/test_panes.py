@@ -15,12 +15,7 @@ pytestmark = pytest.mark.usefixtures("mi")
 
 OPACITY = 0.35
 GREY = {"type": "diffuse", "reflectance": rgb(0.5)}
-GLASS = {
-    "type": "preview_surface",
-    "base_color": rgb(0.02),
-    "roughness": 0.6,
-    "eta": 2.83,
-}
+GLASS = {"type": "preview_surface", "base_color": rgb(0.02), "roughness": 0.6, "eta": 2.83}
 DARK = {"type": "diffuse", "reflectance": rgb(0.0)}
 LAMPS = {"one": 1, "many": 20}
 

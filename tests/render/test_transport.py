@@ -54,8 +54,7 @@ def test_a_wall_in_absorbing_fog_dims_by_beer_and_lambert(model, visibility_m, s
 
 
 @pytest.mark.parametrize(
-    "model, samples, resolves",
-    [("path", 128, 0.01), pytest.param("volpath", 512, 0.01, marks=pytest.mark.slow)],
+    "model, samples, resolves", [("path", 128, 0.01), pytest.param("volpath", 512, 0.01, marks=pytest.mark.slow)]
 )
 def test_scattering_fog_in_a_uniform_sky_is_invisible(model, samples, resolves):
     """White furnace: albedo 1, radiance 1 from everywhere, MOR 50: every pixel is 1."""

@@ -132,15 +132,7 @@ def test_the_pictures_of_a_further_pipeline_are_what_it_makes_of_the_radiance(wh
         for is_clear in (False, True)
     )
     done = run(
-        *(
-            "graph",
-            "run",
-            "pipeline/noise_free.yaml",
-            "--in",
-            foggy.files["radiance.exr"],
-            "-o",
-            tmp_path,
-        ),
+        *("graph", "run", "pipeline/noise_free.yaml", "--in", foggy.files["radiance.exr"], "-o", tmp_path),
         *("--meter", clear.files["radiance.exr"]),
     )
     assert done.returncode == 0, done.stderr

@@ -8,15 +8,7 @@ from pxr import Usd
 
 from synfog_usd.base.errors import StageError
 from synfog_usd.cli.main import app
-from synfog_usd.stage import (
-    composition_notes,
-    dependencies,
-    open_stage,
-    override,
-    select,
-    stage_hash,
-    variants,
-)
+from synfog_usd.stage import composition_notes, dependencies, open_stage, override, select, stage_hash, variants
 from synfog_usd.stage.open import unit_notes
 from synfog_usd.stage.types import mistyped
 from synfog_usd.translate import translate

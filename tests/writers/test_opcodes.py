@@ -59,10 +59,7 @@ def test_the_warp_sends_straight_places_where_opencv_does(coefficients, within_p
     r2 = dx**2 + dy**2
     f = sum(k * r2**power for power, k in enumerate(radial))
     found = np.stack(
-        [
-            f * dx + kt0 * 2 * dx * dy + kt1 * (r2 + 2 * dx**2),
-            f * dy + kt1 * 2 * dx * dy + kt0 * (r2 + 2 * dy**2),
-        ],
+        [f * dx + kt0 * 2 * dx * dy + kt1 * (r2 + 2 * dx**2), f * dy + kt1 * 2 * dx * dy + kt0 * (r2 + 2 * dy**2)],
         axis=1,
     )
     rays = np.concatenate([(places - [330.0, 230.0]) / 500.0, np.ones((len(places), 1))], axis=1)

@@ -77,12 +77,7 @@ def test_a_dng_of_jpeg_xl_is_the_one_it_was_made_of(shot, tmp_path):
     with tifffile.TiffWriter(packed) as file:
         more = [(50706, 1, 4, bytes((1, 7, 0, 0)), True), (50975, 3, 1, 2, True), (52547, 3, 1, 2, True)]
         file.write(
-            fields,
-            photometric=32803,
-            compression=52546,
-            tile=(64, 64),
-            metadata=None,
-            extratags=sorted([*kept, *more]),
+            fields, photometric=32803, compression=52546, tile=(64, 64), metadata=None, extratags=sorted([*kept, *more])
         )
     with rawpy.imread(str(packed)) as raw, pytest.raises(rawpy.LibRawError):
         raw.unpack()

@@ -34,13 +34,7 @@ def test_a_png_holds_the_rounded_values(tmp_path):
     np.testing.assert_allclose(deep.ravel(), np.clip(values, 0.0, 1.0) * 65535.0, atol=0.51)
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("a.jpg", {"quality": 75}),
-        ("a.png", {"bits": 16}),
-    ],
-)
+@pytest.mark.parametrize(("name", "options"), [("a.jpg", {"quality": 75}), ("a.png", {"bits": 16})])
 def test_the_same_picture_gives_the_same_bytes_whenever_it_is_written(tmp_path, name, options):
     image = picture(shape=(300, 400))
     first = write_output(name, image, tmp_path / "one", options=options).read_bytes()
