@@ -464,7 +464,7 @@ def process_after(code, *arguments, **more):
     return subprocess.run(words, capture_output=True, text=True, timeout=300, **more)
 
 
-@pytest.mark.parametrize("dies", [False, True])
+@pytest.mark.parametrize("dies", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_what_usd_writes_while_a_stage_is_read_is_not_heard(tmp_path, dies):
     """By its own descriptor, as its library does in C++: where it ends the process, five lines.  Ours is heard."""
     noisy = (

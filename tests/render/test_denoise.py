@@ -442,6 +442,7 @@ def street_with_a_lamp():
 
 
 @needs_oidn
+@pytest.mark.slow
 def test_light_groups_lose_their_noise_too_and_add_up_to_the_picture():
     """The sky and a lamp over a foggy street, each a group, 8 samples: relative RMS errors against 128 samples fall
     below half (measured 0.2 and 0.27), and the sum is the denoised picture. Means of a group scatter by 3 to 4 % from

@@ -213,6 +213,7 @@ def test_labels_tell_the_transmittance_of_the_same_field(name):
     np.testing.assert_allclose(seen.transmittance.ravel(), exact, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_a_camera_in_a_dense_plume_sees_the_plume():
     """MOR of 15 cm at its densest in a white furnace: every path ends, and nothing is lost; 5 % is resolved."""
     plume = cloud(albedo=1.0, sigma_t=20.0)

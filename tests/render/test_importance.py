@@ -85,7 +85,7 @@ def test_no_light_is_left_out_anywhere(mi, both):
         assert np.array(importance.at(dr.opaque(mi.UInt32, number), origin, lambda way: mi.Float(1.0))).min() > 0.0
 
 
-@pytest.mark.parametrize("kind", ["along", "at"])
+@pytest.mark.parametrize("kind", [pytest.param("along", marks=pytest.mark.slow), "at"])
 def test_many_lights_drawn_are_all_lights_asked(mi, kind):
     """The mean over 2^20 draws of four against the sum over lights asked one by one, each a sampler of its own; within
     five standard errors, 2 % resolved.

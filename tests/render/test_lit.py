@@ -144,9 +144,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "clear" else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_the_mean_is_that_of_paths_that_find_lamps_on_their_way(name):
     """A painted ball, a wall, a sky, panels and points: two estimators of the same picture; 4 % resolved."""
     camera, how, foggy = CASES[name]

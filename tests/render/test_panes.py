@@ -51,9 +51,8 @@ def test_light_that_passes_panes_twice_is_as_much_less_and_no_noisier(lamps, pan
     assert paned.std() / paned.mean() < 3.0 * np.hypot(bare.std() / bare.mean(), played / np.sqrt(samples * 48))
 
 
-@pytest.mark.parametrize(
-    "foggy, lamps, under_sky", [(False, "many", False), pytest.param(True, "one", True, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("foggy, lamps, under_sky", [(False, "many", False), (True, "one", True)])
 def test_glass_has_the_light_of_volpath(foggy, lamps, under_sky):
     """A pane that mirrors, too: Mitsuba's path tracer passes panes in its own way.  In fog, where that is noisy, a
     fifth is resolved: light that is counted twice, or not at all, is half of it.

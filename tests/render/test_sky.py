@@ -83,6 +83,7 @@ def yard(picture) -> dict:
     return parts
 
 
+@pytest.mark.slow
 def test_a_picture_is_that_of_the_scenes_own_choice_with_less_noise(mi, monkeypatch):
     """Means agree, and variance is less; both rule out that the table is not asked."""
     how = {"samples": 64, "model": "path", "denoise": False}

@@ -26,7 +26,9 @@ def test_the_committed_files_are_what_write_makes_and_small(tmp_path: Path):
     assert max(map(len, made.values())) < MAX_BYTES
 
 
-@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if n % 3 else ()) for n, name in enumerate(STAGES)]
+)
 def test_a_stage_is_sound_and_has_a_camera_fog_and_labels(name: str):
     stage = opened(name)
     assert [note for note in check(stage) if note.severity == "warning" or "label" in note.text] == []

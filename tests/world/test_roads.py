@@ -300,9 +300,7 @@ def stage_of(tmp_path_factory):
     return composed
 
 
-@pytest.mark.parametrize(
-    "name", [n if n in ("bridge", "rural") else pytest.param(n, marks=pytest.mark.slow) for n in ROADS]
-)
+@pytest.mark.parametrize("name", [n if n == "bridge" else pytest.param(n, marks=pytest.mark.slow) for n in ROADS])
 def test_a_stage_is_whole_labelled_and_valid(stage_of, name):
     """Plain USD without a composition error or a missing file, under 10 MiB, every component labelled, every validator
     content.
