@@ -165,6 +165,7 @@ def test_dust_is_brown(model, rtol):
     assert means[0] > 1.1 * means[2]
 
 
+@pytest.mark.slow
 def test_rain_in_fog_sends_light_where_both_do():
     """Thin, so that light is scattered once: rain in fog is as bright as rain and as fog together."""
     parts = [Fog.named(name).over(FogMedium(1.0)) for name in ("rain10", "mor9000")]
