@@ -152,7 +152,10 @@ def test_a_camera_that_cuts_is_told_at_its_frames(street):
     assert (one.rule, one.path) == ("cuts", "/Eye") and "at frame 8, 14;" in one.text
 
 
-@pytest.mark.parametrize("recipe", [pytest.param("crossroads", marks=pytest.mark.slow), "tunnel"])
+LONG = [pytest.param(one, marks=pytest.mark.slow) for one in ("crossroads", "motorway")]
+
+
+@pytest.mark.parametrize("recipe", ["tunnel", *LONG])
 def test_a_composed_clip_has_none_but_a_car_that_was_lifted(tmp_path, recipe):
     """None of these findings as it was composed; with one car lifted by a metre, that one at frame 0."""
     compose.compose(recipe, tmp_path / "street.usda", seed=1, seconds=1.0)
