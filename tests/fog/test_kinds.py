@@ -120,6 +120,7 @@ def test_the_table_is_what_the_theory_gives(kind, nm):
 
 
 @needs_mie
+@pytest.mark.slow
 def test_sizes_of_another_medium_are_summed_as_its_table_is():
     """Spray's own sizes by their name: extinction and albedo between the rows within 0.5 %, the mean cosine 0.2 %."""
     own, summed = (

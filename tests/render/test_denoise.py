@@ -355,15 +355,8 @@ def test_what_a_sensor_would_not_see_is_sampled_no_longer():
 
 
 BENCH = (
-    "bridge",
-    "canyon",
-    "dense_mor50",
-    "fog_bank",
-    "haze_mor2000",
-    "headlights",
-    "occluders",
-    "overcast_street",
-    "street_lamps",
+    *("bridge", "canyon", "dense_mor50", "fog_bank", "haze_mor2000"),
+    *("headlights", "occluders", "overcast_street", "street_lamps"),
 )
 
 TRUTH, SHARPER = 512, {"haze_mor2000": 8192}

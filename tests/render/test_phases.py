@@ -172,6 +172,7 @@ def uniform():
     return pictures([UNIFORM])
 
 
+@pytest.mark.slow
 def test_a_grid_of_equal_voxels_is_uniform_fog(uniform):
     """Delta tracking against closed-form distances, half as dense as sigma_t says; 2 % is resolved."""
     assert_agree(uniform, pictures([gridded(ROOM, np.full((3, 2, 4), 0.5), sigma_t=0.1)]), sigmas=4.5, resolves=0.02)

@@ -4,12 +4,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from support.cli import process, run
 
 from synfog_usd.dataset.sets.cost import count
 from synfog_usd.dataset.sets.load import load_set
 
 
+@pytest.mark.slow
 def test_the_set_of_the_paper_is_counted():
     """500 scenes x 2 x 4 shots through 2 cameras, the foggy ones by a third; 3 files of a shot, 2 of each camera, 5 of
     a scene in a lighting.  In rain and snow the second camera has light of its own.

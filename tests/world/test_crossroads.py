@@ -33,6 +33,7 @@ def everything(stage: Usd.Stage) -> list[Usd.Prim]:
     return list(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
 
 
+@pytest.mark.slow
 def test_the_stage_is_whole_labelled_and_valid(day):
     """And no label anywhere is a word of its own."""
     assert_whole(STAGE, least=200)
