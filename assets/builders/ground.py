@@ -1,6 +1,7 @@
 """Pictures of what one drives and walks on: asphalts, slabs and paint.
 
 Albedos in linear light with roughness beside, computed from named random streams.
+Asphalt is as rough as dry roads shine (CIE 144:2001, tests/render/test_surface.py).
 `textures` writes them.
 """
 

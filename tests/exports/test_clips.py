@@ -211,9 +211,9 @@ def test_flow_of_virtual_kitti_is_decoded_as_its_authors_do(clip, exported):
                 np.testing.assert_allclose(ways[mine], np.tile(wanted, (mine.sum(), 1)), atol=1e-3)
 
 
-def test_a_rig_of_three_has_a_camera_each(clip, tmp_path):
+def test_a_rig_of_six_has_a_camera_each(clip, tmp_path):
     """No camera's frames take the place of another's; nuScenes has a channel for each in every sample."""
-    rows = [{"camera": f"/Rig/Eye_{number}", "folder": f"Eye_{number}"} for number in range(3)]
+    rows = [{"camera": f"/Rig/Eye_{number}", "folder": f"Eye_{number}"} for number in range(6)]
     for row in rows:
         shutil.copytree(clip, tmp_path / "rig" / row["folder"])
     files.write_json(tmp_path / "rig" / "rig.json", {"cameras": rows})
@@ -221,12 +221,12 @@ def test_a_rig_of_three_has_a_camera_each(clip, tmp_path):
         export(tmp_path / "rig", exporter(name), tmp_path / name)
     tree = tmp_path / "vkitti2" / "Scene00" / "sky-clear" / "frames" / "rgb"
     assert {path.name: len(list(path.iterdir())) for path in tree.iterdir()} == {
-        f"Camera_{n}": FRAMES for n in range(3)
+        f"Camera_{n}": FRAMES for n in range(6)
     }
     tables = tmp_path / "nuscenes" / nuscenes.VERSION
     channels = {row["token"]: row["channel"] for row in json.loads((tables / "sensor.json").read_text())}
-    assert sorted(channels.values()) == [f"CAM_EYE_{number}" for number in range(3)]
-    assert len(json.loads((tables / "sample_data.json").read_text())) == 3 * 3 * FRAMES
+    assert sorted(channels.values()) == [f"CAM_EYE_{number}" for number in range(6)]
+    assert len(json.loads((tables / "sample_data.json").read_text())) == 6 * 3 * FRAMES
 
 
 def test_coco_has_videos_and_tracks(clip, exported):

@@ -157,12 +157,13 @@ def test_surfaces_that_are_drawn_together_answer_as_each_does_by_itself(mi, name
         ("dry", "worn", 0.85, 1.35),
         ("dry", "old", 0.42, 0.85),
         ("dry", "chip_seal", 0.42, 0.85),
-        ("damp", "worn", 4.5, 7.2),
+        ("damp", "worn", 3.0, 16.0),
     ],
 )
 def test_asphalt_shines_as_its_class_of_road_surfaces(wet, kind, low, high):
-    """The specular factor S1 of CIE 144:2001, from 1 degree above the road, in the classes II to IV and, wet, WII: the
-    luminance coefficient of light from the front at tan 2, by its cosine cubed, over that of light from above.
+    """The specular factor S1 of CIE 144:2001, 1 degree above the road: classes II to IV, damp as wet roads of Sørensen
+    and Nielsen (1974).  The luminance coefficient of light from the front at tan 2, by its cosine cubed, over that of
+    light from above.
     """
     paved = Asphalt(kind, wet)
     look = looks(paved, PALETTE)[paved.lane]
