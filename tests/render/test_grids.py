@@ -19,7 +19,7 @@ from synfog_usd.fog.volume import optical_depth
 from synfog_usd.render import backend
 from synfog_usd.render.film import aovs
 from synfog_usd.render.shot import load
-from synfog_usd.scene.testing import black, box, pixel_rays, scene, sky, wall
+from synfog_usd.scene.testing import black, box, pixel_rays, scene, sky
 
 SIZE_M = (30.0, 40.0, 10.0)
 RAYS, DRAWS = 12, 1 << 15
@@ -129,20 +129,6 @@ def test_light_goes_back_the_way_it_came(kind):
     there, back = sent(a, x, b), sent(b, x, a)
     assert there.max() > 1e3 * there[there > 0.0].min()
     np.testing.assert_allclose(back, there, rtol=1e-3)
-
-
-def test_a_wall_behind_absorbing_fog_dims_by_its_column():
-    """Density that grows in a straight line from 0 to 1 over the second half of the way: 0.1 x 20 x 0.5 in closed form;
-    3 % is resolved.
-    """
-    column = np.r_[np.zeros(20), (np.arange(20) + 0.5) / 20][None, :, None]  # planes every metre
-    medium = FogMedium(0.1, albedo=0.0, profile="grid", grid=DensityGrid(column))
-    fog = FogVolume("/Fog", box((50.0, 20.0, 50.0), (0.0, 20.0, 0.0)), medium)
-    world = scene({"shape_wall": wall(40.0, **black(1.0))}, [fog], fov_x_deg=1.0)
-    tau = 0.1 * (20 * 0.5)  # the line begins half a voxel early, and its last half voxel is flat: both are 1/80
-    assert_mean(
-        renders.pictures(world, 8, samples=512, model="path"), np.exp(-tau), resolves=0.03, truth_within=8e-5
-    )  # rays off the axis
 
 
 def test_scattering_fog_on_a_grid_is_invisible_in_a_uniform_sky():

@@ -27,6 +27,7 @@ FOV_DEG, SIDE_PX, MOR_M = 29.0, 12, 30.0
 BLACK = rgb(0.0)
 MIRROR = {"type": "preview_surface", "base_color": BLACK, "roughness": 0.0}
 COATED = {**MIRROR, "clearcoat": 1.0, "clearcoat_roughness": 0.0}
+PAINT = {**COATED, "base_color": rgb(0.05, 0.1, 0.3), "roughness": 0.4, "metallic": 0.4, "clearcoat_roughness": 0.2}
 
 
 def panel(number):
@@ -109,19 +110,27 @@ def test_lamps_in_a_ball_that_mirrors_are_as_large_and_as_bright_as_geometry_say
     assert_mean(means, truth, resolves=0.05)
 
 
+def test_a_long_mesh_of_many_panels_is_lamps_by_their_place():
+    """The panels as a mesh each and as one of 7 m, all alike, beside faint points: as much light; 5 % resolved."""
+    faint = {f"light_{number}": bulb([0.0, -50.0, number], 1e-3) for number in range(ROWS**2)}
+    apart = ball(PAINT, extra=faint)
+    alike = {key: {**part, **black(50.0)} for key, part in apart.world.items() if "panel" in key}
+    one = {"shape_panels": squares([part["positions"] for part in alike.values()], **black(50.0))}
+    rest = {key: part for key, part in apart.world.items() if key not in alike}
+    means = []
+    for panels, lamps in ((alike, ROWS**2), (one, 4)):
+        source = replace(apart, world={**rest, **panels}, instance_of={})
+        integrator = models.make("path", load(source, boundaries=False))
+        assert integrator.lights.count == lamps + len(faint)
+        means.append(np.array([drawn(integrator, [LIT], 256, seed)[0].mean().mean() for seed in range(16)]))
+    assert_agree(*means, resolves=0.05)
+
+
 def room(fog=()):
     """The ball with a coat on rough metal, a grey wall, a sky, and two light groups; some lamps are points."""
     grey = {"type": "diffuse", "reflectance": rgb(0.4, 0.3, 0.2)}
-    paint = {
-        "type": "preview_surface",
-        "base_color": rgb(0.05, 0.1, 0.3),
-        "roughness": 0.4,
-        "metallic": 0.4,
-        "clearcoat": 1.0,
-        "clearcoat_roughness": 0.2,
-    }
     points = {f"light_{side}": bulb([x, 1.0, 3.0], 40.0) for side, x in {"left": -2.0, "right": 2.0}.items()}
-    source = ball(paint, fog, {**sky(2.0), **points, "shape_wall": wall(7.0, 6.0, bsdf=grey)})
+    source = ball(PAINT, fog, {**sky(2.0), **points, "shape_wall": wall(7.0, 6.0, bsdf=grey)})
     lamps = [key for key, part in source.world.items() if key.startswith("light_") or "emitter" in part]
     return replace(source, group_of={key: "one" if key < "shape_panel_4" else "other" for key in lamps})
 

@@ -20,7 +20,7 @@ from synfog_usd.render.integrators.light_groups import LightGroups
 from synfog_usd.render.lights.importance import Gloss, Importance, LitFaces, emitter_index
 from synfog_usd.render.lights.panes import Panes
 from synfog_usd.render.lights.rows import is_sampled_light
-from synfog_usd.render.lights.sampler import LightSampler
+from synfog_usd.render.lights.sampler import MOST_WEIGHED, LightSampler
 from synfog_usd.render.lights.sky import SkyTable
 from synfog_usd.render.lights.visible import VisibleFaces
 from synfog_usd.render.load import MitsubaScene
@@ -45,9 +45,6 @@ if TYPE_CHECKING:
 
     from synfog_usd.render.sampling.sobol import Sobol
     from synfog_usd.render.spectra.bands import SampledSpectrum
-
-MOST_WEIGHED = 240
-"""Lamps that are all weighed for each stretch and point; of more, some are drawn by flux and peak."""
 
 LEAST_CHANCE = 0.15
 """Of a lamp and of the scene's own choice to be asked, where both shine: what a surface makes of them is known in short
@@ -301,7 +298,7 @@ class NextEvent:
         weight = dr.select(previous.without_nee & (light_pdf > 0.0), 1.0, shared)
         emitter = si.emitter(scene, unscattered)
         if self.lit_faces is not None:
-            area_pdf, lamp = self.lit_faces.of_emitter(emitter, unscattered & surface_hit)
+            area_pdf, lamp = self.lit_faces.of_face(emitter, si.prim_index, unscattered & surface_hit)
             lamp_pdf = self.face_pdf(lamp, area_pdf, si, previous.p, previous.gloss, previous.weighed)
             weight = dr.select((area_pdf > 0.0) & (previous.weighed > 0.0), mis_weight(previous.pdf, lamp_pdf), weight)
         if self.lamp_faces is not None:
@@ -352,7 +349,7 @@ class NextEvent:
             surface = tree.ray_intersect_preliminary(way, mi.Bool(False), going)
             stopped = going & surface.is_valid()
         emitter = surface.shape.emitter()
-        area_pdf, of_lamp = self.lit_faces.of_emitter(emitter, stopped)
+        area_pdf, of_lamp = self.lit_faces.of_face(emitter, surface.prim_index, stopped)
         on_lamp = area_pdf > 0.0
         end = surface.compute_surface_interaction(last, mi.RayFlags.All, on_lamp)
         lamp_pdf = self.face_pdf(of_lamp, area_pdf, end, si.p, gloss, weighed)

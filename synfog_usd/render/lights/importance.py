@@ -14,19 +14,20 @@ would have hardly any chance.  At dusk in fog that was most of all variance.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
 
-from synfog_usd.base.arrays import Array
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.render.lights.rows import summaries
 from synfog_usd.render.media.medium import Medium
 from synfog_usd.render.sampling.reservoir import Picks
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from drjit.auto.ad import Bool, Float, UInt32
     from mitsuba import Emitter, EmitterPtr, Point3f, Spectrum, SurfaceInteraction3f, Vector3f
 
@@ -231,34 +232,45 @@ class LitFaces:
     """Which of the scene's emitters are lit faces that `LightSampler` holds, for what meets one by chance.
 
     Args:
-        lamp: emitter's index -> number of the lamp.
-        area: emitter's index -> of its faces [m2].
+        first: emitter's index -> number of its first face here.
+        lamp: (F,) number of each face's lamp.
+        per_area: (F,) one over the area of that lamp's faces [1/m2]; 0 of what is no such face.
     """
 
-    def __init__(self, lamp: Mapping[int, int], area: Mapping[int, float], emitters: int) -> None:
-        number, per_area = np.zeros(emitters, dtype=np.uint32), np.zeros(emitters, dtype=np.float32)
-        for index in lamp:
-            number[index], per_area[index] = lamp[index], 1.0 / area[index]
-        self.number, self.per_area = backend.numbers(number), backend.floats(per_area)
+    def __init__(self, first: npt.ArrayLike, lamp: Indices, per_area: Array) -> None:
+        self.first, self.lamp, self.per_area = backend.numbers(first), backend.numbers(lamp), backend.floats(per_area)
 
     @classmethod
     def of(cls, loaded: MitsubaScene, lights: LightSampler) -> LitFaces | None:
         """A scene's; None where it has none."""
-        lamp, area = {}, {}
-        for number, (key, rows) in enumerate(zip(lights.keys, lights.rows, strict=True)):
+        first: dict[int, int] = {}
+        lamp, per_area = [np.zeros(1, dtype=np.int64)], [np.zeros(1)]
+        begin = 1  # face 0 is that of all other emitters
+        for number, (key, rows, faces) in enumerate(zip(lights.keys, lights.rows, lights.row_numbers, strict=True)):
             emitter = loaded.shapes[(key,)].emitter() if (key,) in loaded.shapes else None
-            if emitter is not None:
-                lamp[index := emitter_index(emitter)] = number
-                area[index] = 0.5 * float(np.linalg.norm(np.cross(rows["edge_u"], rows["edge_v"]), axis=1).sum())
-        everything = map(emitter_index, loaded.scene.emitters())
-        return cls(lamp, area, max([*lamp, *everything]) + 1) if lamp else None
+            if emitter is None:
+                continue
+            index = emitter_index(emitter)
+            if index not in first:
+                first[index], count = begin, len(loaded.source.world[key]["faces"])
+                lamp.append(np.zeros(count, dtype=np.int64))
+                per_area.append(np.zeros(count))
+                begin += count
+            lamp[-1][faces] = number
+            per_area[-1][faces] = 2.0 / np.linalg.norm(np.cross(rows["edge_u"], rows["edge_v"]), axis=1).sum()
+        if not first:
+            return None
+        begins = np.zeros(max([*first, *map(emitter_index, loaded.scene.emitters())]) + 1, dtype=np.uint32)
+        begins[list(first)] = list(first.values())
+        return cls(begins, np.concatenate(lamp), np.concatenate(per_area))
 
-    def of_emitter(self, emitter: EmitterPtr, active: Bool) -> tuple[Float, UInt32]:
-        """(one over the area of an emitter's faces [1/m2], 0 where it is no such lamp; the lamp's number)."""
+    def of_face(self, emitter: EmitterPtr, face: UInt32, active: Bool) -> tuple[Float, UInt32]:
+        """(one over the area of the lamp that has a face [1/m2], 0 where there is none; that lamp's number)."""
         mi = backend.mitsuba()
-        index = backend.indices_of(emitter)
-        return dr.select(active, dr.gather(mi.Float, self.per_area, index, active), 0.0), dr.gather(
-            mi.UInt32, self.number, index, active
+        first = dr.gather(mi.UInt32, self.first, backend.indices_of(emitter), active)
+        at = dr.select(first > 0, first + face, 0)
+        return dr.select(active, dr.gather(mi.Float, self.per_area, at, active), 0.0), dr.gather(
+            mi.UInt32, self.lamp, at, active
         )
 
 

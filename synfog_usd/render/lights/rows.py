@@ -83,6 +83,11 @@ def lamp_rows(part: Mapping[str, Any]) -> np.ndarray:
     return _faces(part) if part["type"] == "mesh" else _beam(part)
 
 
+def middles(rows: np.ndarray) -> Array:
+    """(N, 3) middle of each row's face, or the place of a point [m]."""
+    return np.asarray(rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0)
+
+
 def luminous_peak(rows: np.ndarray) -> Array:
     """(N,) luminous peak of each row [cd]."""
     return np.maximum(rows["colour"] @ LUMINANCE, 0.0)
@@ -107,9 +112,7 @@ def _summarize(summary: np.ndarray, rows: np.ndarray) -> None:
             summary[name] = brightest[name]
         return
     weights = light + 1e-30
-    summary["position"] = np.average(
-        rows["position"] + (rows["edge_u"] + rows["edge_v"]) / 3.0, axis=0, weights=weights
-    )
+    summary["position"] = np.average(middles(rows), axis=0, weights=weights)
     axis = np.average(rows["axis"], axis=0, weights=weights)
     lean = np.linalg.norm(axis)
     if lean < 0.5:  # it shines all around

@@ -17,9 +17,18 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
+from synfog_usd.base.arrays import Array, Indices
 from synfog_usd.render import backend
 from synfog_usd.render.lights import photometric
-from synfog_usd.render.lights.rows import Columns, LampRow, channels, is_sampled_light, lamp_rows, luminous_peak
+from synfog_usd.render.lights.rows import (
+    Columns,
+    LampRow,
+    channels,
+    is_sampled_light,
+    lamp_rows,
+    luminous_peak,
+    middles,
+)
 from synfog_usd.render.sampling.reservoir import PICKS, Candidate, Picks, Reservoir
 
 if TYPE_CHECKING:
@@ -32,6 +41,12 @@ if TYPE_CHECKING:
 MOST = 12
 """Lights that are all asked."""
 
+MOST_WEIGHED = 240
+"""Lamps that are all weighed for each stretch and point; of more, some are drawn by flux and peak."""
+
+LONGEST_M = 6.0
+"""Extent of a lit mesh [m] from which on it is several lamps: beside one end of it, its middle tells nothing."""
+
 
 class LightSampler:
     """Every spot, point and evenly lit mesh face of a scene.
@@ -43,21 +58,19 @@ class LightSampler:
     """
 
     def __init__(self, world: Mapping[str, Any], groups: Mapping[str, int], mean_cosine: float = 0.87) -> None:
-        rows: list[np.ndarray] = []
-        keys: list[str] = []
         self.tables: list[np.ndarray] = []
         numbers: dict[tuple[Any, ...], int] = {}
+        blocks: dict[str, np.ndarray] = {}
         for key, part in world.items():
             if is_sampled_light(part):
-                block = lamp_rows(part)
+                blocks[key] = block = lamp_rows(part)
                 block["group"] = groups.get(key, 0)
                 if part["type"] == photometric.TYPE:
                     block["table"] = [self._number_of(table, numbers) for table in channels(part)]
-                block = block[luminous_peak(block) > 0.0]
-                if len(block):
-                    rows.append(block)
-                    keys.append(key)
-        self.rows, self.keys = rows, keys
+        parts = _cut_long({key: block for key, block in blocks.items() if luminous_peak(block).any()})
+        self.keys = [key for key, _ in parts]
+        self.row_numbers = [numbers for _, numbers in parts]
+        self.rows = rows = [blocks[key][numbers] for key, numbers in parts]
         self.count = len(rows)
         if not self.count:
             return
@@ -223,6 +236,29 @@ class LightSampler:
             reservoir = reservoir.update(candidate, probability, sampler, active)
             index += 1
         return reservoir.lamp, reservoir.estimate(), mi.UInt32(reservoir.group), reservoir.pdf
+
+
+def _cut_long(blocks: Mapping[str, np.ndarray]) -> list[tuple[str, Indices]]:
+    """(key, numbers of rows that shine) of each lamp: a long mesh of many, such as the lights of a tunnel, is several,
+    as long as they are few enough to be weighed; the brightest first.
+    """
+    parts = {key: [np.flatnonzero(luminous_peak(block) > 0.0)] for key, block in blocks.items()}
+    room = MOST_WEIGHED - len(parts)
+    for key in sorted(blocks, key=lambda key: -float(luminous_peak(blocks[key]).sum())):
+        several = _halves(middles(blocks[key]), *parts[key])
+        if len(several) - 1 <= room:
+            parts[key], room = several, room - len(several) + 1
+    return [(key, numbers) for key in blocks for numbers in parts[key]]
+
+
+def _halves(middle: Array, numbers: Indices) -> list[Indices]:
+    """Faces, by their middles (F, 3) and numbers (N,), cut in the middle until none of the parts is too long."""
+    low, high = middle[numbers].min(axis=0), middle[numbers].max(axis=0)
+    axis = int((high - low).argmax())
+    if high[axis] - low[axis] <= LONGEST_M:
+        return [numbers]
+    behind = middle[numbers, axis] > 0.5 * (low + high)[axis]
+    return [*_halves(middle, numbers[~behind]), *_halves(middle, numbers[behind])]
 
 
 def _peak_density(angle: Float, width: Float) -> Float:
