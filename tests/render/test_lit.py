@@ -116,9 +116,9 @@ def test_a_long_mesh_of_many_panels_is_lamps_by_their_place():
     apart = ball(PAINT, extra=faint)
     alike = {key: {**part, **black(50.0)} for key, part in apart.world.items() if "panel" in key}
     one = {"shape_panels": squares([part["positions"] for part in alike.values()], **black(50.0))}
-    rest = {key: part for key, part in apart.world.items() if key not in alike}
     means = []
     for panels, lamps in ((alike, ROWS**2), (one, 4)):
+        rest = {key: part for key, part in apart.world.items() if key not in alike}
         source = replace(apart, world={**rest, **panels}, instance_of={})
         integrator = models.make("path", load(source, boundaries=False))
         assert integrator.lights.count == lamps + len(faint)

@@ -55,6 +55,14 @@ def test_a_lamp_below_a_pixel_sends_what_its_area_does(fog):
     np.testing.assert_allclose(found, expected([(20.0, 0.08, 0.05), (45.0, 0.1, 0.1)], fog), rtol=2e-3)
 
 
+def test_lamps_of_one_mesh_that_are_pixels_apart_are_not_left_to_chance():
+    """Two faces 3 m from each other, as the signals of a gantry may be, against their areas, within 0.2 %."""
+    near, far = face(0.31, 0.17, 20.0, 0.08, 0.05), face(-2.5, -0.7, 22.0, 0.1, 0.1)
+    both = near | {name: squares([near["positions"], far["positions"]])[name] for name in ("positions", "faces")}
+    found = drawn(scene({"shape_both": both}, (), fov_x_deg=FOV_DEG)).components[DIRECT].sum(axis=(0, 1))
+    np.testing.assert_allclose(found, expected([(20.0, 0.08, 0.05), (22.0, 0.1, 0.1)], fog=False), rtol=2e-3)
+
+
 def test_components_are_the_picture_and_no_face_counts_twice():
     """Their sum is the radiance, and what the surfaces' paths have left at the lamps' pixels is the wall's light."""
     result = drawn(street())

@@ -124,7 +124,8 @@ class NextEvent:
     Attributes:
         at_surfaces, in_fog: whether vertices there ask the scene's own choice of lights.
         importance: of all lamps to a place; None where they are too few, or more than `MOST_WEIGHED`.
-        lit_faces: of lamps that are asked so, which a ray can meet; None without.
+        faces: of lamps, which a ray can meet; None without.
+        lit_faces: the same where their lamps are asked by importance; else None.
         sky: how surfaces choose directions to it; None where the scene's own choice does.
         visible: faces of lamps that the eye sees; None without.
         panes: what shadow rays pass; None without, or without lamps: paths find a sky behind them as well.
@@ -151,8 +152,9 @@ class NextEvent:
             dr.make_opaque(self.sky_group)
         weighed = lights.count and lights.many and lights.count <= MOST_WEIGHED
         self.importance = Importance(lights, medium) if weighed else None
-        self.lit_faces = LitFaces.of(loaded, lights) if self.importance is not None else None
-        self.visible = VisibleFaces.of(loaded) if lights.count else None
+        self.faces = LitFaces.of(loaded, lights) if lights.count else None
+        self.lit_faces = self.faces if self.importance is not None else None
+        self.visible = VisibleFaces.of(loaded, lights) if lights.count else None
         self.panes = Panes.of(loaded) if lights.count else None
 
     def face_pdf(
@@ -297,8 +299,9 @@ class NextEvent:
         shared = dr.select(light_pdf > 0.0, mis_weight(previous.pdf, light_pdf), 0.0)
         weight = dr.select(previous.without_nee & (light_pdf > 0.0), 1.0, shared)
         emitter = si.emitter(scene, unscattered)
+        if self.faces is not None:
+            area_pdf, lamp = self.faces.of_face(emitter, si.prim_index, unscattered & surface_hit)
         if self.lit_faces is not None:
-            area_pdf, lamp = self.lit_faces.of_face(emitter, si.prim_index, unscattered & surface_hit)
             lamp_pdf = self.face_pdf(lamp, area_pdf, si, previous.p, previous.gloss, previous.weighed)
             weight = dr.select((area_pdf > 0.0) & (previous.weighed > 0.0), mis_weight(previous.pdf, lamp_pdf), weight)
         if self.lamp_faces is not None:
@@ -310,7 +313,7 @@ class NextEvent:
         if self.lit_faces is not None:
             weight = dr.select(lit_apart & (area_pdf > 0.0), 0.0, weight)
         if self.visible is not None:  # the estimator DIRECT has them
-            weight = dr.select(self.visible.holds(emitter, unscattered & surface_hit & at_eye), 0.0, weight)
+            weight = dr.select(self.visible.holds(lamp, (area_pdf > 0.0) & at_eye), 0.0, weight)
         group = self.groups.of(emitter, unscattered)
         return dr.select(
             unscattered,

@@ -5,8 +5,8 @@ pixel's rays meets it is luck, and the brightest points of a night came and went
 at the pixels' edges (Sutherland and Hodgman 1974), and every piece is asked for certain, by a ray through a random
 point of it.  What is left to chance is what hides it.
 
-Takes a loaded scene with a pinhole; gives `VisibleFaces`.  Lamps that cover many pixels, or reach behind the near
-plane, are left to chance, as all are where the camera has a lens, is a fisheye or moves.
+Takes a loaded scene with a pinhole and its lamps; gives `VisibleFaces`.  Lamps that cover many pixels, or reach behind
+the near plane, are left to chance, as all are where the camera has a lens, is a fisheye or moves.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 from synfog_usd.base.arrays import Array, Indices, Pixels
 from synfog_usd.render import backend
 from synfog_usd.render.lights.importance import emitter_index
-from synfog_usd.render.lights.rows import is_sampled_light
 from synfog_usd.render.load import MitsubaScene, is_thin_lens
 
 if TYPE_CHECKING:
     from drjit.auto.ad import Bool, Float, UInt32
-    from mitsuba import EmitterPtr, Point2f
+    from mitsuba import Point2f
 
+    from synfog_usd.render.lights.sampler import LightSampler
     from synfog_usd.scene import Camera
 
 MOST_PX, MOST_SHARE = 256.0, 1.0 / 16.0
-"""Pixels of its box in the picture, and their share of it, beyond which a lamp is large enough for chance."""
+"""Pixels that a lamp covers, and their share of the picture, beyond which it is large enough for chance."""
 
 MOST_FACES = 2048
 """Faces of a lamp from which on it is left to chance: cutting them would take longer than they are worth."""
@@ -49,55 +49,47 @@ class VisibleFaces:
         corners: (N, 3, 2) of each piece, a triangle [pixels].
         area: (N,) [pixels].
         owner: (N, 2) its emitter's index and its face's number.
-        emitters: (E,) whether each emitter's faces are all in.
+        lamps: (L,) whether the faces of each lamp are all in, by `LightSampler`'s numbers.
 
     Attributes:
         count: how many pieces there are.
     """
 
-    def __init__(self, begin: Indices, corners: Array, area: Array, owner: Indices, emitters: Pixels) -> None:
+    def __init__(self, begin: Indices, corners: Array, area: Array, owner: Indices, lamps: Pixels) -> None:
         self.count = len(area)
         if not self.count:
             corners, area, owner = np.zeros((1, 3, 2)), np.zeros(1), np.zeros((1, 2), dtype=np.int64)
-        self.begin, self.emitters = backend.numbers(begin), backend.numbers(emitters)
+        self.begin, self.lamps = backend.numbers(begin), backend.numbers(lamps)
         self.corners = [backend.floats(column) for column in corners.reshape(-1, 6).T]
         self.area, self.owner = backend.floats(area), [backend.numbers(column) for column in owner.T]
 
     @classmethod
-    def of(cls, loaded: MitsubaScene) -> VisibleFaces | None:
+    def of(cls, loaded: MitsubaScene, lights: LightSampler) -> VisibleFaces | None:
         """A scene's; None where it has no lit faces, or its camera is no pinhole that stands still."""
-        camera = loaded.source.camera
-        if camera.moves or not camera.plane or is_thin_lens(camera):
+        camera, world = loaded.source.camera, loaded.source.world
+        meshes = [number for number, key in enumerate(lights.keys) if (key,) in loaded.shapes]
+        if not meshes or camera.moves or not camera.plane or is_thin_lens(camera):
             return None
         pieces: list[tuple[int, tuple[Point, Point, Point], float, int, int]] = []
-        inside: list[int] = []
-        lit = False
-        for key, part in loaded.source.world.items():
-            if not (is_sampled_light(part) and part["type"] == "mesh" and (key,) in loaded.shapes):
-                continue
-            lit = True
-            corners = np.asarray(part["positions"], dtype=np.float64)[np.asarray(part["faces"], dtype=np.int64)]
-            emitter = loaded.shapes[(key,)].emitter()
-            if emitter is None or len(corners) > MOST_FACES or (placed := _in_picture(corners, camera)) is None:
+        held = np.zeros(lights.count, dtype=np.uint32)
+        for number in meshes:
+            part, faces = world[lights.keys[number]], lights.row_numbers[number]
+            corners = np.asarray(part["positions"], dtype=np.float64)[np.asarray(part["faces"], dtype=np.int64)[faces]]
+            if len(corners) > MOST_FACES or (placed := _in_picture(corners, camera)) is None:
                 continue
             if "normals" in part:  # its shading decides which side shines
                 placed[1][:] = True
-            inside.append(index := emitter_index(emitter))
-            for number in np.flatnonzero(placed[1]):
-                for pixel, triangle, area in _cut(placed[0][number], camera.width_px, camera.height_px):
-                    pieces.append((pixel, triangle, area, index, int(number)))
-        if not lit:
-            return None
+            held[number], emitter = 1, emitter_index(loaded.shapes[(lights.keys[number],)].emitter())
+            for seen in np.flatnonzero(placed[1]):
+                for pixel, triangle, area in _cut(placed[0][seen], camera.width_px, camera.height_px):
+                    pieces.append((pixel, triangle, area, emitter, int(faces[seen])))
         pieces.sort(key=lambda piece: piece[0])
-        pixels = camera.width_px * camera.height_px
-        flags = np.zeros(max([*inside, *map(emitter_index, loaded.scene.emitters())]) + 1, dtype=np.uint32)
-        flags[inside] = 1
         return cls(
-            np.searchsorted([piece[0] for piece in pieces], np.arange(pixels + 1)),
+            np.searchsorted([piece[0] for piece in pieces], np.arange(camera.width_px * camera.height_px + 1)),
             np.array([piece[1] for piece in pieces]),
             np.array([piece[2] for piece in pieces]),
             np.array([piece[3:] for piece in pieces], dtype=np.int64),
-            flags,
+            held,
         )
 
     def pieces(self, pixel: UInt32) -> tuple[UInt32, UInt32]:
@@ -115,10 +107,9 @@ class VisibleFaces:
         owner, face = (dr.gather(mi.UInt32, column, piece) for column in self.owner)
         return place, dr.gather(mi.Float, self.area, piece), owner, face
 
-    def holds(self, emitter: EmitterPtr, active: Bool) -> Bool:
-        """Whether an emitter's faces are all in, so that no path must count them where the eye sees them."""
-        mi = backend.mitsuba()
-        return active & (dr.gather(mi.UInt32, self.emitters, backend.indices_of(emitter), active) > 0)
+    def holds(self, lamp: UInt32, active: Bool) -> Bool:
+        """Whether a lamp's faces are all in, so that no path must count them where the eye sees them."""
+        return active & (dr.gather(backend.mitsuba().UInt32, self.lamps, lamp, active) > 0)
 
 
 def _in_picture(corners: Array, camera: Camera) -> tuple[Array, Array] | None:
@@ -134,9 +125,10 @@ def _in_picture(corners: Array, camera: Camera) -> tuple[Array, Array] | None:
     plane = local[..., :2] / -local[..., 2:] / width
     x = (0.5 + plane[..., 0] - camera.shift[0]) * camera.width_px
     y = (0.5 + camera.shift[1]) * camera.height_px - plane[..., 1] * camera.width_px
-    low, pixels = np.maximum([x.min(), y.min()], 0.0), camera.width_px * camera.height_px
-    high = np.minimum([x.max(), y.max()], [camera.width_px, camera.height_px])
-    if (high <= low).any() or np.prod(np.ceil(high) - np.floor(low)) > min(MOST_PX, MOST_SHARE * pixels):
+    u, v = np.clip(x[front], 0.0, camera.width_px), np.clip(y[front], 0.0, camera.height_px)
+    doubled = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
+    covered, pixels = 0.5 * np.abs(doubled).sum(), camera.width_px * camera.height_px
+    if not 0.0 < covered <= min(MOST_PX, MOST_SHARE * pixels):
         return None
     return np.stack([x, y], axis=-1), front
 
