@@ -255,9 +255,9 @@ def _halves(middle: Array, numbers: Indices) -> list[Indices]:
     """Faces, by their middles (F, 3) and numbers (N,), cut in the middle until none of the parts is too long."""
     low, high = middle[numbers].min(axis=0), middle[numbers].max(axis=0)
     axis = int((high - low).argmax())
-    if high[axis] - low[axis] <= LONGEST_M:
-        return [numbers]
     behind = middle[numbers, axis] > 0.5 * (low + high)[axis]
+    if not high[axis] - low[axis] > LONGEST_M or not behind.any():  # which holds of places that are no numbers too
+        return [numbers]
     return [*_halves(middle, numbers[~behind]), *_halves(middle, numbers[behind])]
 
 
