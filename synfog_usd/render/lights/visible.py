@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 MOST_PX, MOST_SHARE = 256.0, 1.0 / 16.0
 """Pixels that a lamp covers, and their share of the picture, beyond which it is large enough for chance."""
 
+MOST_LOOKED_THROUGH = 4096.0
+"""Pixels of the boxes around a lamp's faces, all together, from which on it is left to chance: a thin tube across the
+picture covers few of those that it passes."""
+
 MOST_FACES = 2048
 """Faces of a lamp from which on it is left to chance: cutting them would take longer than they are worth."""
 
@@ -80,9 +84,9 @@ class VisibleFaces:
             if "normals" in part:  # its shading decides which side shines
                 placed[1][:] = True
             held[number], emitter = 1, emitter_index(loaded.shapes[(lights.keys[number],)].emitter())
-            for seen in np.flatnonzero(placed[1]):
-                for pixel, triangle, area in _cut(placed[0][seen], camera.width_px, camera.height_px):
-                    pieces.append((pixel, triangle, area, emitter, int(faces[seen])))
+            for row in np.flatnonzero(placed[1]):
+                for pixel, triangle, area in _cut(placed[0][row], camera.width_px, camera.height_px):
+                    pieces.append((pixel, triangle, area, emitter, int(faces[row])))
         pieces.sort(key=lambda piece: piece[0])
         return cls(
             np.searchsorted([piece[0] for piece in pieces], np.arange(camera.width_px * camera.height_px + 1)),
@@ -128,7 +132,8 @@ def _in_picture(corners: Array, camera: Camera) -> tuple[Array, Array] | None:
     u, v = np.clip(x[front], 0.0, camera.width_px), np.clip(y[front], 0.0, camera.height_px)
     doubled = (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
     covered, pixels = 0.5 * np.abs(doubled).sum(), camera.width_px * camera.height_px
-    if not 0.0 < covered <= min(MOST_PX, MOST_SHARE * pixels):
+    boxes = ((np.ptp(u, axis=1) + 1.0) * (np.ptp(v, axis=1) + 1.0)).sum()  # pixels that are looked through
+    if not 0.0 < covered <= min(MOST_PX, MOST_SHARE * pixels) or boxes > MOST_LOOKED_THROUGH:
         return None
     return np.stack([x, y], axis=-1), front
 
